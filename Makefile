@@ -1,0 +1,33 @@
+# `make train` and `make test` set up what they need, once.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+INSTALLED := .venv/installed
+
+.PHONY: help setup train test lint types clean
+
+help: ## Show what can be made.
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+setup: $(INSTALLED) ## Install everything into .venv (once).
+
+$(INSTALLED): setup.cfg pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+train: $(INSTALLED) ## Watch a robot develop: 10,000 decisions in the toy room.
+	$(BIN)/torch-iac train
+
+test: $(INSTALLED) lint types ## Check style, types and import order, and run all tests.
+	$(BIN)/pytest -n auto
+
+lint: $(INSTALLED) ## Check style and the order of imports.
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+types: $(INSTALLED) ## Check types.
+	$(BIN)/mypy
+
+clean: ## Remove the installation, not the runs.
+	rm -rf .venv build dist *.egg-info
