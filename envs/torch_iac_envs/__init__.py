@@ -1,0 +1,5 @@
+"""Worlds for curious robots, as Gymnasium environments; importing registers them."""
+
+import gymnasium as gym
+
+gym.register(id="torch_iac_envs/ToyRoom-v0", entry_point="torch_iac_envs.toy_room:ToyRoom")

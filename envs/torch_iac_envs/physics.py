@@ -1,0 +1,234 @@
+"""What happens in the toy room, by pybullet: moving, sensing, drawing, and its exact state."""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet as p
+from numpy.typing import NDArray
+
+from torch_iac_envs.bodies import SLICE, build, motor_torque
+from torch_iac_envs.room import Room
+
+TOY_ROLL = 0.1  # what is left of a kick's speed when the toy brakes
+STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
+
+Vector = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Command:
+    """What happens in one decision, noise included; the engine's only input.
+
+    Attributes:
+        left: Left wheel's speed, as a share of full speed.
+        right: Right wheel's speed, as a share of full speed.
+        kick_x: The velocity along x that the toy is given (m/s); without a kick it stops.
+        kick_y: The velocity along y that the toy is given (m/s).
+        jump: Whether the toy ends in the robot.
+    """
+
+    left: float
+    right: float
+    kick_x: float = 0.0
+    kick_y: float = 0.0
+    jump: bool = False
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the sensors would read without noise.
+
+    Attributes:
+        walls: Distance to the wall along each beam, shape `(n_beams,)` (m).
+        toy_distance: Distance from the robot's centre to the toy's surface (m), 0 inside it.
+        toy_bearing: Direction of the toy in the robot's frame (rad).
+    """
+
+    walls: Vector
+    toy_distance: float
+    toy_bearing: float
+
+
+def resting_state(
+    room: Room, robot: tuple[float, float], heading: float, toy: tuple[float, float]
+) -> Vector:
+    """Return the state, shape `(30,)`, in which robot and toy stand still where told.
+
+    Args:
+        room: The room's measures.
+        robot: Coordinates of the robot's centre; the room's centre is the origin (m).
+        heading: Direction in which the robot faces, anticlockwise from the x axis (rad).
+        toy: Coordinates of the toy's centre (m).
+    """
+    state = np.zeros(STATE_DIM)
+    state[:3] = (*robot, room.wheel_radius)
+    state[3:7] = _turn(heading)
+    state[17:20] = (*toy, room.toy_radius)
+    state[20:24] = _turn(0.0)
+    return state
+
+
+class Physics:
+    """One pybullet client that holds one toy room.
+
+    What happens is a function of the state last seated and of the commands since.
+
+    Args:
+        room: The room's measures.
+        n_beams: Number of infra-red beams.
+        substeps: Physics steps in a tenth of a second.
+        window: Whether to open a window and let time pass as it does outside.
+
+    Raises:
+        RuntimeError: The engine gave no client.
+    """
+
+    def __init__(self, room: Room, n_beams: int, substeps: int, window: bool = False) -> None:
+        client = p.connect(p.GUI if window else p.DIRECT)
+        if client < 0:
+            raise RuntimeError(f"pybullet's client must be at least 0, got {client}")
+        self._client = {"physicsClientId": client}
+        self._open = True
+        self._room = room
+        self._substeps = substeps
+        self._window = window
+        self._beams = np.arange(n_beams) * (2 * math.pi / max(n_beams, 1))
+
+    def close(self) -> None:
+        """Give the client back, once."""
+        if self._open:
+            p.disconnect(**self._client)
+        self._open = False
+
+    def seat(self, state: Vector) -> None:
+        """Build the room anew and put its bodies as `state`, shape `(30,)`, says."""
+        self._robot, self._toy = build(self._client, self._room, self._substeps)
+        self._seat_body(self._robot, state[:13])
+        for joint, (angle, speed) in enumerate(state[13:17].reshape(2, 2)):
+            p.resetJointState(self._robot, joint, angle, speed, **self._client)
+        self._seat_body(self._toy, state[17:])
+
+    def read(self) -> Vector:
+        """Return the state, shape `(30,)`, as `seat` takes it."""
+        wheels = p.getJointStates(self._robot, [0, 1], **self._client)
+        spins = [value for wheel in wheels for value in wheel[:2]]
+        return np.array([*self._read_body(self._robot), *spins, *self._read_body(self._toy)])
+
+    def advance(self, command: Command) -> None:
+        """Let one decision happen; at its end the robot stands and the toy all but stands."""
+        self._roll_toy(command.kick_x, command.kick_y)
+        self._run_wheels(command.left, command.right)
+        self._run(self._room.drive_seconds)
+        self._roll_toy(command.kick_x * TOY_ROLL, command.kick_y * TOY_ROLL)
+        self._run_wheels(0.0, 0.0)
+        self._run(self._room.brake_seconds)
+        if command.jump:
+            self._jump()
+
+    def sense(self) -> Reading:
+        """Return what the sensors would read without noise, in one batch of rays."""
+        x, y, heading = self._robot_pose()
+        toy_x, toy_y, _ = self._toy_position()
+        gap = math.hypot(toy_x - x, toy_y - y)
+        inside = gap <= self._room.toy_radius
+        ends = self._beam_ends(x, y, heading)
+        starts = [(x, y, self._room.beam_height)] * len(ends)
+        if not inside:
+            starts.append((x, y, self._room.toy_radius))
+            ends.append((toy_x, toy_y, self._room.toy_radius))
+        hits = self._cast(starts, ends)
+        return Reading(
+            walls=hits[: len(self._beams)] * self._room.diagonal,
+            toy_distance=0.0 if inside else float(hits[-1]) * gap,
+            toy_bearing=math.atan2(toy_y - y, toy_x - x) - heading,
+        )
+
+    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the room from above at an angle, shape `(height, width, 3)`."""
+        view = p.computeViewMatrix(
+            (0.0, -1.5 * self._room.side / 2, 2.1 * self._room.side / 2), (0, -0.08, 0), (0, 0, 1)
+        )
+        lens = p.computeProjectionMatrixFOV(50.0, width / height, 0.1, 20.0)
+        image = p.getCameraImage(
+            width,
+            height,
+            view,
+            lens,
+            lightDirection=(1.5, -2.0, 4.0),
+            shadow=1,
+            renderer=p.ER_TINY_RENDERER,
+            **self._client,
+        )
+        pixels = np.asarray(image[2], np.uint8).reshape(height, width, 4)
+        return np.ascontiguousarray(pixels[:, :, :3])
+
+    # Acting on the bodies.
+
+    def _roll_toy(self, x: float, y: float) -> None:
+        p.resetBaseVelocity(self._toy, (x, y, 0.0), (0.0, 0.0, 0.0), **self._client)
+
+    def _run_wheels(self, left: float, right: float) -> None:
+        scale = self._room.full_speed / self._room.wheel_radius
+        # The engine takes a motor's torque for a whole call, not for one of its substeps.
+        torque = motor_torque(self._room) / self._substeps
+        p.setJointMotorControlArray(
+            self._robot,
+            (0, 1),
+            p.VELOCITY_CONTROL,
+            targetVelocities=(left * scale, right * scale),
+            forces=(torque, torque),
+            **self._client,
+        )
+
+    def _run(self, seconds: float) -> None:
+        for _ in range(round(seconds / SLICE)):
+            p.stepSimulation(**self._client)
+            if self._window:
+                time.sleep(SLICE)
+
+    def _jump(self) -> None:
+        x, y, _ = self._robot_pose()
+        place = (x, y, self._room.toy_radius)
+        p.resetBasePositionAndOrientation(self._toy, place, _turn(0.0), **self._client)
+        self._roll_toy(0.0, 0.0)
+
+    # Reading the bodies.
+
+    def _robot_pose(self) -> tuple[float, float, float]:
+        (x, y, _), (i, j, k, w) = p.getBasePositionAndOrientation(self._robot, **self._client)
+        return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+
+    def _toy_position(self) -> Point:
+        position: Point = p.getBasePositionAndOrientation(self._toy, **self._client)[0]
+        return position
+
+    def _beam_ends(self, x: float, y: float, heading: float) -> list[Point]:
+        length, height = self._room.diagonal, self._room.beam_height
+        across = (x + length * np.cos(heading + self._beams)).tolist()
+        along = (y + length * np.sin(heading + self._beams)).tolist()
+        return [(u, v, height) for u, v in zip(across, along, strict=True)]
+
+    def _cast(self, starts: list[Point], ends: list[Point]) -> Vector:
+        """Return how far along each ray, as a share of its length, it meets a wall or the toy."""
+        if not starts:
+            return np.empty(0)
+        hits = p.rayTestBatch(starts, ends, **self._client)
+        return np.array([hit[2] for hit in hits])
+
+    def _read_body(self, body: int) -> list[float]:
+        position, turn = p.getBasePositionAndOrientation(body, **self._client)
+        velocity, spin = p.getBaseVelocity(body, **self._client)
+        return [*position, *turn, *velocity, *spin]
+
+    def _seat_body(self, body: int, state: Vector) -> None:
+        position, turn, velocity, spin = np.split(state, (3, 7, 10))
+        p.resetBasePositionAndOrientation(body, position, turn, **self._client)
+        p.resetBaseVelocity(body, velocity, spin, **self._client)
+
+
+def _turn(heading: float) -> tuple[float, float, float, float]:
+    """Return the quaternion of a turn about the vertical."""
+    return 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)

@@ -1,0 +1,92 @@
+"""The toy room's measures, and what its actions and sensors are called; no physics engine here.
+
+Lengths are in metres, times in seconds, angles in radians. Every version of the toy room reads
+these numbers, so that their worlds agree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+ACTION_NAMES = ("left_wheel", "right_wheel", "sound")
+ACTION_LOW = (-1.0, -1.0, 0.0)
+ACTION_HIGH = (1.0, 1.0, 1.0)
+
+# Zones of the sound: f1 up to and with the first number, f2 up to and with the second, f3 above.
+# In float32, as actions are, so that a sound of one third is in f1 whatever computes it.
+ZONE_ENDS = (np.float32(1 / 3), np.float32(2 / 3))
+ZONE_NAMES = ("f1", "f2", "f3")
+ZONE_RANDOM, ZONE_STILL, ZONE_JUMP = range(3)
+
+
+@dataclass(frozen=True)
+class Room:
+    """What the room, its robot and its toy measure.
+
+    Attributes:
+        side: Inner side of the square room, from wall to wall (m).
+        wall_height: Height of the walls (m).
+        chassis: Side of the robot's square chassis, which bumps into walls (m).
+        track: Distance between the two wheels (m).
+        wheel_radius: Radius of a wheel (m).
+        full_speed: Speed of a wheel's rim at the wheel command 1 (m/s).
+        drive_seconds: First part of a decision, in which the wheels are driven (s).
+        brake_seconds: Last part of a decision, in which they brake to rest (s).
+        toy_radius: Radius of the toy, a ball (m).
+        kick_speed: Least and greatest speed of the toy when it moves at random (m/s).
+        beam_height: Height at which the infra-red beams leave the robot, above the toy (m).
+    """
+
+    side: float = 2.0
+    wall_height: float = 0.25
+    chassis: float = 0.26
+    track: float = 0.24
+    wheel_radius: float = 0.04
+    full_speed: float = 0.9
+    drive_seconds: float = 0.4
+    brake_seconds: float = 0.1
+    toy_radius: float = 0.06
+    kick_speed: tuple[float, float] = (6.0, 12.0)
+    beam_height: float = 0.16
+
+    @property
+    def decision_seconds(self) -> float:
+        """How long one decision lasts (s)."""
+        return self.drive_seconds + self.brake_seconds
+
+    @property
+    def diagonal(self) -> float:
+        """The longest distance there is in the room (m)."""
+        return self.side * 2**0.5
+
+    @property
+    def robot_reach(self) -> float:
+        """Largest coordinate at which the robot's centre is clear of the walls, however turned."""
+        return (self.side - self.chassis * 2**0.5) / 2
+
+    @property
+    def toy_reach(self) -> float:
+        """Largest coordinate at which the toy's centre is clear of the walls."""
+        return self.side / 2 - self.toy_radius
+
+
+def zone_of(sound: np.float32) -> int:
+    """Return the zone of a sound in [0, 1]: 0 for f1, 1 for f2, 2 for f3."""
+    return sum(int(sound > end) for end in ZONE_ENDS)
+
+
+def sensor_names(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
+    """Return the sensors' names, in the order in which they are read."""
+    walls = tuple(f"wall_{beam}" for beam in range(n_beams))
+    return (*walls, "toy_distance", *(("toy_cos", "toy_sin") if toy_direction else ()))
+
+
+def sensor_bounds(
+    room: Room, n_beams: int, toy_direction: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the least and the greatest reading of each sensor, each of shape `(sensors,)`."""
+    directions = 2 if toy_direction else 0
+    low = [0.0] * (n_beams + 1) + [-1.0] * directions
+    high = [room.diagonal] * (n_beams + 1) + [1.0] * directions
+    return np.array(low, np.float32), np.array(high, np.float32)

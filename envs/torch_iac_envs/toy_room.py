@@ -1,0 +1,296 @@
+"""`ToyRoom`, the world of the paper: a robot, a toy and three kinds of sound."""
+
+import hashlib
+import os
+import sys
+from dataclasses import astuple
+from typing import Any, ClassVar, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from torch_iac_envs import room as layout
+from torch_iac_envs.physics import Command, Physics, Vector, resting_state
+from torch_iac_envs.room import Room, zone_of
+
+Observation = NDArray[np.float32]
+Action = NDArray[np.float32]
+State = dict[str, NDArray[Any]]
+
+PICTURE_SIZE = (480, 360)
+DIRECTION_NOISE = 2.0  # rad of the direction for a metre of a distance
+WORD = 2**64 - 1
+
+
+class ToyRoom(gym.Env[Observation, Action]):
+    """A two-wheeled robot and a toy that obeys its sounds, in a square room, by pybullet.
+
+    An action sets the two wheels' speeds and the frequency of a sound for one decision, at the end
+    of which the robot stands again. With a sound of at most 1/3 (f1) the toy dashes off in a
+    random direction and bounces off the walls; at most 2/3 (f2) it stops; above (f3) it jumps
+    into the robot. `info["zone"]` says which (0, 1, 2), for analysis: it is no sensor.
+
+    The names of the actions and of the sensors are in `metadata`, under `"action_names"` and
+    `"sensor_names"`. A wall beam leaves from the robot's centre, the first one straight ahead and
+    the others anticlockwise. The toy's distance runs from the robot's centre to the toy's surface.
+    Its direction is read in the robot's frame; while the toy is in the robot there is none, and
+    both its cosine and its sine are 0.
+
+    Args:
+        render_mode: None, `"rgb_array"` for pictures or `"human"` for a window.
+        beams: Number of infra-red beams to the walls.
+        toy_direction: Whether the toy's direction is sensed.
+        sensor_noise: Standard deviation of each distance (m). The toy's direction gets twice this
+            number in radians: what it would get if read half a metre away.
+        actuator_noise: Standard deviation of each wheel's speed, as a share of full speed.
+        keyframe_every: Decisions between two rebuildings of the physics, from which a state can
+            be resumed exactly. The trajectory depends on it, in its last digits.
+        substeps: Physics steps in a tenth of a second.
+
+    Attributes:
+        room: The room's measures, a `Room`.
+
+    Raises:
+        ValueError: An argument is outside its range.
+        RuntimeError: A window is asked for where there is no display.
+
+    Source: Oudeyer and Kaplan (2004), section 2.2 and figure 1.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - the type that gymnasium.Env declares
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": 2,
+    }
+    room: ClassVar[Room] = Room()
+
+    def __init__(
+        self,
+        *,
+        render_mode: str | None = None,
+        beams: int = 8,
+        toy_direction: bool = True,
+        sensor_noise: float = 0.01,
+        actuator_noise: float = 0.02,
+        keyframe_every: int = 100,
+        substeps: int = 8,
+    ) -> None:
+        _check_render_mode(render_mode)
+        _check_at_least("beams", beams, 0)
+        _check_at_least("sensor_noise", sensor_noise, 0)
+        _check_at_least("actuator_noise", actuator_noise, 0)
+        _check_at_least("keyframe_every", keyframe_every, 1)
+        _check_at_least("substeps", substeps, 1)
+        self.render_mode = render_mode
+        self._toy_direction = toy_direction
+        self._sensor_noise = sensor_noise
+        self._actuator_noise = actuator_noise
+        self._keyframe_every = keyframe_every
+        self._declare_spaces(beams)
+        self._keyframe: Vector | None = None
+        self._commands: list[Command] = []
+        self._physics = Physics(self.room, beams, substeps, window=render_mode == "human")
+
+    def _declare_spaces(self, beams: int) -> None:
+        low, high = layout.sensor_bounds(self.room, beams, self._toy_direction)
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self.action_space = gym.spaces.Box(
+            np.array(layout.ACTION_LOW, np.float32),
+            np.array(layout.ACTION_HIGH, np.float32),
+            dtype=np.float32,
+        )
+        self.metadata = {
+            **type(self).metadata,
+            "action_names": layout.ACTION_NAMES,
+            "sensor_names": layout.sensor_names(beams, self._toy_direction),
+            "zone_names": layout.ZONE_NAMES,
+        }
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Put robot and toy anywhere in the room and return what the robot senses.
+
+        Args:
+            seed: Starts the world's random numbers anew; without it they go on.
+            options: Not used.
+        """
+        super().reset(seed=seed, options=options)
+        robot = self.np_random.uniform(-self.room.robot_reach, self.room.robot_reach, 2)
+        toy = self.np_random.uniform(-self.room.toy_reach, self.room.toy_reach, 2)
+        heading = self.np_random.uniform(-np.pi, np.pi)
+        self._seat_keyframe(resting_state(self.room, tuple(robot), heading, tuple(toy)))
+        return self._sense(), {}
+
+    def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Live through one decision.
+
+        Args:
+            action: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(3,)`.
+
+        Returns:
+            What is sensed afterwards, a reward of 0, False, False and the sound's zone.
+
+        Raises:
+            RuntimeError: The world was not reset.
+            ValueError: The action's shape or its values are not as above.
+        """
+        self._check_started("step")
+        action = self._checked(action)
+        zone = zone_of(action[2])
+        self._decide(self._command(action, zone))
+        return self._sense(), 0.0, False, False, {"zone": zone}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture, shape `(360, 480, 3)`, if the mode is `"rgb_array"`."""
+        if self.render_mode != "rgb_array":
+            return None
+        self._check_started("render")
+        return self._physics.picture(*PICTURE_SIZE)
+
+    def close(self) -> None:
+        """Give the physics back; closing twice does no harm."""
+        self._physics.close()
+
+    def get_state(self) -> State:
+        """Return all that the future depends on, as a dict of arrays.
+
+        `keyframe` is the physical state at the last keyframe, shape `(30,)`; `commands` are the
+        decisions since, noise included, shape `(n, 5)`; `random` is the random numbers' state,
+        shape `(6,)`; `fingerprint` is the SHA-256 of the present physical state, shape `(32,)`.
+
+        Raises:
+            RuntimeError: The world was not reset.
+        """
+        self._check_started("get_state")
+        return {
+            "keyframe": np.array(self._keyframe),
+            "commands": _to_array(self._commands),
+            "random": _pack_random(self.np_random),
+            "fingerprint": self._fingerprint(),
+        }
+
+    def set_state(self, state: State) -> None:
+        """Go on from what `get_state` returned, exactly; the arguments must be the same as then.
+
+        The physics is rebuilt at the keyframe and the decisions since are lived through again.
+        An env made by `gymnasium.make` wants to be reset before, as ever.
+
+        Raises:
+            ValueError: The commands are more than fit between two keyframes.
+            RuntimeError: The physical state reached is not the one that was left.
+        """
+        commands = _from_array(state["commands"])
+        if len(commands) >= self._keyframe_every:
+            raise ValueError(
+                f"a state must hold fewer commands than keyframe_every = {self._keyframe_every}, "
+                f"got {len(commands)}"
+            )
+        self._seat_keyframe(np.array(state["keyframe"]))
+        for command in commands:
+            self._decide(command)
+        self._check_fingerprint(state["fingerprint"])
+        self.np_random = _unpack_random(state["random"])
+
+    def _check_started(self, what: str) -> None:
+        if self._keyframe is None:
+            raise RuntimeError(f"reset must be called before {what}")
+
+    def _checked(self, action: Action) -> NDArray[np.float32]:
+        checked = np.asarray(action, np.float32)
+        if checked.shape != (3,):
+            raise ValueError(f"an action must have shape (3,), got {checked.shape}")
+        for name, value, low, high in zip(
+            layout.ACTION_NAMES, checked, layout.ACTION_LOW, layout.ACTION_HIGH, strict=True
+        ):
+            if not low <= value <= high:  # not-a-number compares false too
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
+        return checked
+
+    def _command(self, action: NDArray[np.float32], zone: int) -> Command:
+        left, right = action[:2] + self.np_random.normal(0.0, self._actuator_noise, 2)
+        if zone != layout.ZONE_RANDOM:
+            return Command(float(left), float(right), jump=zone == layout.ZONE_JUMP)
+        speed = self.np_random.uniform(*self.room.kick_speed)
+        direction = self.np_random.uniform(-np.pi, np.pi)
+        kick = speed * np.array([np.cos(direction), np.sin(direction)])
+        return Command(float(left), float(right), float(kick[0]), float(kick[1]))
+
+    def _decide(self, command: Command) -> None:
+        self._physics.advance(command)
+        self._commands.append(command)
+        if len(self._commands) == self._keyframe_every:
+            self._seat_keyframe(self._physics.read())
+
+    def _seat_keyframe(self, state: Vector) -> None:
+        self._physics.seat(state)
+        self._keyframe = state
+        self._commands = []
+
+    def _sense(self) -> Observation:
+        reading = self._physics.sense()
+        distances = np.append(reading.walls, reading.toy_distance)
+        noise = self.np_random.normal(0.0, self._sensor_noise, len(distances) + 1)
+        values = distances + noise[:-1]
+        if self._toy_direction:
+            bearing = reading.toy_bearing + DIRECTION_NOISE * noise[-1]
+            there = reading.toy_distance > 0
+            values = np.append(values, (there * np.cos(bearing), there * np.sin(bearing)))
+        box = self.observation_space
+        assert isinstance(box, gym.spaces.Box)  # noqa: S101 - tells the type checker
+        return np.clip(values.astype(np.float32), box.low, box.high)
+
+    def _fingerprint(self) -> NDArray[np.uint8]:
+        digest = hashlib.sha256(self._physics.read().tobytes()).digest()
+        return np.frombuffer(digest, np.uint8).copy()
+
+    def _check_fingerprint(self, expected: NDArray[np.uint8]) -> None:
+        reached = self._fingerprint()
+        if not np.array_equal(reached, expected):
+            self._keyframe = None
+            raise RuntimeError(
+                "the physical state reached must have the fingerprint that was saved, "
+                f"{bytes(expected).hex()[:12]}, got {bytes(reached).hex()[:12]}"
+            )
+
+
+def _check_render_mode(render_mode: str | None) -> None:
+    modes = (None, *ToyRoom.metadata["render_modes"])
+    if render_mode not in modes:
+        raise ValueError(f"render_mode must be one of {modes}, got {render_mode!r}")
+    # Without a display pybullet would end the whole process.
+    if render_mode == "human" and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise RuntimeError("render_mode 'human' needs a display, got no DISPLAY variable")
+
+
+def _check_at_least(name: str, value: float, least: float) -> None:
+    if not least <= value < float("inf"):
+        raise ValueError(f"{name} must be at least {least} and finite, got {value}")
+
+
+def _to_array(commands: list[Command]) -> Vector:
+    return np.array([astuple(command) for command in commands], np.float64).reshape(-1, 5)
+
+
+def _from_array(commands: Vector) -> list[Command]:
+    return [Command(left, right, x, y, jump > 0) for left, right, x, y, jump in commands.tolist()]
+
+
+def _pack_random(random: np.random.Generator) -> NDArray[np.uint64]:
+    """Return a PCG64 generator's state as six 64-bit words."""
+    state = random.bit_generator.state
+    words = [word >> shift & WORD for word in state["state"].values() for shift in (64, 0)]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def _unpack_random(words: NDArray[np.uint64]) -> np.random.Generator:
+    """Return the PCG64 generator that `_pack_random` packed."""
+    high, low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
+    bits = np.random.PCG64()
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
+    }
+    return np.random.Generator(bits)

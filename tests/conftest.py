@@ -1,0 +1,19 @@
+"""What the tests share: small spaces, a small world, and one thread."""
+
+import pytest
+import torch
+
+from torch_iac import Dimension, SensorimotorSpace
+
+torch.set_num_threads(1)
+
+
+@pytest.fixture
+def space() -> SensorimotorSpace:
+    """Two actions, two sensors, the second of which is predicted; all in different units."""
+    near, far = Dimension("near", 0.0, 2.0), Dimension("far", -1.0, 3.0)
+    return SensorimotorSpace(
+        actions=(Dimension("push", -1.0, 1.0), Dimension("tone", 0.0, 10.0)),
+        sensors=(near, far),
+        outcomes=(far,),
+    )

@@ -1,0 +1,280 @@
+"""What a run leaves behind."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
+from torch_iac import recording
+from torch_iac.recording import Recorder, region_table, write_config
+
+COLUMNS = [
+    "step",
+    "agent",
+    "seed",
+    "zone",
+    "random_action",
+    "action/left_wheel",
+    "action/sound",
+    "sensor/beam",
+    "sensor/toy_distance",
+    "outcome/toy_distance",
+    "prediction/toy_distance",
+    "error",
+    "expected_error",
+    "region",
+    "progress",
+]
+
+
+def parts(folder: Path) -> list[Path]:
+    return sorted((folder / "steps").iterdir())
+
+
+def events(folder: Path) -> EventAccumulator:
+    accumulator = EventAccumulator(str(folder))
+    accumulator.Reload()
+    return accumulator
+
+
+def test_every_decision_of_every_agent_comes_back_as_it_was(tmp_path: Path) -> None:
+    population = SyntheticPopulation(n_agents=3, n_decisions=20)
+    decisions = [population.decide() for _ in range(20)]
+    with Recorder(tmp_path, population, ZONES, rows_per_part=3 * 8) as recorder:
+        for step, zones in decisions:
+            recorder.record(step, zones)
+
+    table = pq.read_table(parts(tmp_path))
+    assert table.column_names == COLUMNS
+    assert table["step"].to_pylist() == [number for number in range(20) for _ in range(3)]
+    assert table["agent"].to_pylist() == [0, 1, 2] * 20
+    assert table["seed"].to_pylist() == [100, 101, 102] * 20
+    kept: dict[str, list[Any]] = {
+        "zone": [zones for _, zones in decisions],
+        "random_action": [step.random_actions for step, _ in decisions],
+        "action/sound": [step.actions[:, 1] for step, _ in decisions],
+        "sensor/beam": [step.sensors[:, 0] for step, _ in decisions],
+        "outcome/toy_distance": [step.outcomes[:, 0] for step, _ in decisions],
+        "prediction/toy_distance": [step.predictions[:, 0] for step, _ in decisions],
+        "error": [step.errors for step, _ in decisions],
+        "region": [step.regions for step, _ in decisions],
+        "progress": [step.progress for step, _ in decisions],
+    }
+    for name, values in kept.items():
+        assert table[name].to_numpy().tolist() == np.concatenate(values).tolist(), name
+
+
+def test_recording_copies_since_worlds_and_agents_reuse_their_buffers(tmp_path: Path) -> None:
+    population = SyntheticPopulation(1, 2)
+    step, zones = population.decide()
+    sensors = step.sensors.clone()
+    with Recorder(tmp_path, population, ZONES) as recorder:
+        recorder.record(step, zones)
+        step.sensors.zero_()
+    assert pq.read_table(parts(tmp_path))["sensor/beam"].to_pylist() == [sensors[0, 0].item()]
+
+
+def test_an_expected_error_is_null_without_mp_and_kept_with_it(tmp_path: Path) -> None:
+    population = SyntheticPopulation(2, 2)
+    step, zones = population.decide()
+    with Recorder(tmp_path, population, ZONES) as recorder:
+        recorder.record(step, zones)
+        expected = torch.tensor([0.25, 0.5])
+        recorder.record(replace(step, number=1, expected_errors=expected), zones)
+    table = pq.read_table(parts(tmp_path))
+    assert table["expected_error"].to_pylist() == [None, None, 0.25, 0.5]
+
+
+def test_a_world_without_zones_has_no_zone_column(tmp_path: Path) -> None:
+    write_run(tmp_path, n_decisions=5, zone_names=None)
+    assert pq.read_table(parts(tmp_path)).column_names == [c for c in COLUMNS if c != "zone"]
+
+
+@pytest.mark.parametrize("zone_names", [ZONES, None])
+def test_zones_must_be_given_if_and_only_if_they_have_names(
+    tmp_path: Path, zone_names: tuple[str, ...] | None
+) -> None:
+    population = SyntheticPopulation(1, 1)
+    step, zones = population.decide()
+    recorder = Recorder(tmp_path, population, zone_names)
+    with pytest.raises(ValueError, match="if, and only if"):
+        recorder.record(step, zones if zone_names is None else None)
+    recorder.close()
+
+
+def test_rows_are_on_disk_when_flush_returns_and_parts_have_the_agreed_size(tmp_path: Path) -> None:
+    population = SyntheticPopulation(2, 10)
+    recorder = Recorder(tmp_path, population, ZONES, rows_per_part=8)
+    for _ in range(9):
+        recorder.record(*population.decide())
+    assert [pq.read_metadata(path).num_rows for path in parts(tmp_path)] == [8, 8]
+    recorder.flush()
+    assert [pq.read_metadata(path).num_rows for path in parts(tmp_path)] == [8, 8, 2]
+    recorder.flush()
+    assert [path.name for path in parts(tmp_path)] == [f"part-0000{i}.parquet" for i in range(3)]
+    recorder.close()
+
+
+@pytest.mark.parametrize("broken", ["regions.parquet", "part-00000.parquet"])
+def test_a_file_that_could_not_be_finished_has_no_name_and_loses_no_decision(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    def break_half_way(table: pa.Table, path: Path, **options: Any) -> None:
+        if broken in path.name:
+            path.write_bytes(b"half a file")
+            raise OSError("disk full")
+        write_table(table, path, **options)
+
+    write_table = pq.write_table
+    population = SyntheticPopulation(1, 1)
+    recorder = Recorder(tmp_path, population, ZONES)
+    recorder.record(*population.decide())
+    with monkeypatch.context() as patched:
+        patched.setattr(pq, "write_table", break_half_way)
+        with pytest.raises(OSError, match="disk full"):
+            recorder.flush()
+    assert not list(tmp_path.rglob(broken))
+    recorder.close()
+    assert [path.name for path in parts(tmp_path)] == ["part-00000.parquet"]
+    assert pq.read_table(parts(tmp_path)).num_rows == 1
+
+
+def test_an_interrupted_run_keeps_its_decisions_and_is_not_called_finished(tmp_path: Path) -> None:
+    population = SyntheticPopulation(1, 10)
+
+    def live_and_interrupt() -> None:
+        with Recorder(tmp_path, population, ZONES) as recorder:
+            for _ in range(7):
+                recorder.record(*population.decide())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        live_and_interrupt()
+    assert pq.read_table(parts(tmp_path)).num_rows == 7
+    assert not (tmp_path / "summary.json").exists()
+
+
+@pytest.mark.parametrize("name", ["config.json", "steps", "summary.json", "events.out.tfevents.1"])
+def test_a_folder_that_holds_a_run_is_refused_and_not_touched(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
+    (folder / name).write_text("a run")
+    with pytest.raises(FileExistsError, match=r"a already holds a run; choose another folder"):
+        Recorder(folder, SyntheticPopulation(1, 1))
+    assert [path.name for path in folder.iterdir()] == [name]
+    assert (folder / name).read_text() == "a run"
+
+
+@pytest.mark.parametrize("option", ["log_every", "rows_per_part"])
+def test_counts_are_checked_before_anything_is_written(tmp_path: Path, option: str) -> None:
+    with pytest.raises(ValueError, match=f"{option} must be at least 1, got 0"):
+        Recorder(tmp_path / "a", SyntheticPopulation(1, 1), **{option: 0})  # type: ignore[arg-type]
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
+    with Recorder(tmp_path, SyntheticPopulation(2, 1), ZONES, {"command": "train"}):
+        config = json.loads((tmp_path / "config.json").read_text())
+    assert config == {
+        "command": "train",
+        "space": {
+            "actions": {"left_wheel": [-1.0, 1.0], "sound": [0.0, 1.0]},
+            "sensors": {"beam": [0.0, 4.0], "toy_distance": [0.0, 5.0]},
+            "outcomes": {"toy_distance": [0.0, 5.0]},
+        },
+        "seeds": [100, 101],
+        "zones": ["f1", "f2", "f3"],
+    }
+
+
+def test_a_config_is_replaced_whole(tmp_path: Path) -> None:
+    write_config(tmp_path, {"a": 1})
+    with pytest.raises(TypeError):
+        write_config(tmp_path, {"a": object()})
+    assert json.loads((tmp_path / "config.json").read_text()) == {"a": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_cuts_are_named_and_in_raw_units() -> None:
+    population = SyntheticPopulation(1, 900)
+    for _ in range(900):
+        population.decide()
+    table = region_table(population.genealogy(), SPACE).to_pylist()
+    root, first = table[:2]
+    assert (root["parent"], root["cut_dimension"], root["n_examples"]) == (-1, "sound", 251)
+    assert root["cut_value"] == pytest.approx(2 / 3)
+    assert (first["parent"], first["depth"], first["born_step"]) == (0, 1, root["split_step"])
+    wheels = [row for row in table if row["cut_dimension"] == "left_wheel"]
+    assert wheels[0]["cut_value"] == pytest.approx(0.0)  # half way between -1 and 1
+    leaves = [row for row in table if row["split_step"] == -1]
+    assert {(row["cut_dimension"], row["cut_value"]) for row in leaves} == {(None, None)}
+
+
+def test_tensorboard_shows_the_run_so_far(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_agents=2, n_decisions=1000)
+    board = events(folder)
+    tags = board.Tags()
+    table = pq.read_table(parts(folder))
+    last = table.slice(2 * 900)
+    assert [event.step for event in board.Scalars("error/mean")] == list(range(100, 1001, 100))
+    assert board.Scalars("error/mean")[-1].value == pytest.approx(last["error"].to_numpy().mean())
+    shares = [board.Scalars(f"zones/{name}")[-1].value for name in ZONES]
+    assert shares == pytest.approx(np.bincount(last["zone"].to_numpy()) / 200)
+    top = [board.Scalars(f"top_progress/{rank}")[-1].value for rank in range(1, 4)]
+    assert top == sorted(top, reverse=True)
+    assert {"progress/mean", "progress/best", "regions/number"} <= set(tags["scalars"])
+    assert "error/expected" not in tags["scalars"]  # nobody expected anything
+    assert tags["histograms"] == ["progress/regions"]
+    assert tags["images"] == ["progress/map"]
+    assert "custom_scalars__config__" in tags["tensors"]
+
+
+def test_a_region_of_agent_0_has_its_own_curve_while_it_is_a_leaf(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=600)
+    root = [event.step for event in events(folder).Scalars("region_error/0000")]
+    split = pq.read_table(folder / "regions.parquet")["split_step"][0].as_py()
+    assert root == [step for step in range(100, 601, 100) if step <= split]
+
+
+def test_the_number_of_tags_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "N_REGIONS_SHOWN", 2)
+    tags = events(write_run(tmp_path, n_decisions=700)).Tags()["scalars"]
+    assert {tag for tag in tags if tag.startswith("region_progress")} == {
+        "region_progress/0000",
+        "region_progress/0001",
+    }
+
+
+def test_logs_that_straddle_parts_lose_and_repeat_nothing(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=21, rows_per_part=4, log_every=7)
+    errors = pq.read_table(parts(folder))["error"].to_numpy()
+    logged = [event.value for event in events(folder).Scalars("error/mean")]
+    assert logged == pytest.approx(errors.reshape(3, 7).mean(axis=1))
+
+
+def test_a_row_of_the_map_is_a_leaf_with_its_ancestors_before_it() -> None:
+    chart = recording._ProgressMap()
+    chart.add(np.array([0]), np.array([0.1]))
+    chart.add(np.array([1, 2]), np.array([0.2, 0.3]))
+    chart.add(np.array([1, 3, 4]), np.array([0.4, 0.5, 0.6]))
+    lines = chart._lines_of_descent([-1, 0, 0, 2, 2])
+    assert lines[[1, 3, 4]].tolist() == [[0.1, 0.2, 0.4], [0.1, 0.3, 0.5], [0.1, 0.3, 0.6]]
+
+
+def test_the_map_covers_the_whole_run_in_bounded_memory() -> None:
+    chart = recording._ProgressMap()
+    for moment in range(10_000):
+        chart.add(np.array([0]), np.array([float(moment)]))
+    kept = chart._lines_of_descent([-1])[0]
+    assert len(kept) <= recording.MAP_COLUMNS
+    assert kept[0] == 0.0
+    assert len(set(np.diff(kept))) == 1
+    assert kept[-1] > 9_800

@@ -1,0 +1,234 @@
+"""Reading a run back, and measuring it."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from tests.synthetic_run import SPACE, ZONES, write_run
+from torch_iac import runs
+from torch_iac.runs import (
+    Run,
+    ancestors,
+    error_curves,
+    focus_steps,
+    load_run,
+    region_zones,
+    summarise,
+    zone_shares,
+)
+
+N_AGENTS, N_DECISIONS = 3, 1600
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of three agents in several parts."""
+    folder = tmp_path_factory.mktemp("run")
+    return load_run(write_run(folder, N_AGENTS, N_DECISIONS, rows_per_part=N_AGENTS * 300))
+
+
+def test_a_run_knows_its_space_agents_and_zones(run: Run) -> None:
+    assert run.space == SPACE
+    assert (run.seeds, run.n_agents, run.zone_names) == ((100, 101, 102), 3, ZONES)
+    assert run.n_decisions == N_DECISIONS
+    assert len(run.parts()) == 6
+
+
+def test_steps_are_read_over_all_parts_in_order(run: Run) -> None:
+    assert run.steps["step"].to_numpy().tolist() == np.repeat(np.arange(1600), 3).tolist()
+    assert run.column("agent").tolist() == [[0, 1, 2]] * 1600
+    assert run.table(["step", "seed"], agent=1)["seed"].to_pylist() == [101] * 1600
+
+
+def test_a_null_is_nan_in_a_column(run: Run) -> None:
+    assert np.isnan(run.column("expected_error")).all()
+
+
+def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=f"{re.escape(str(tmp_path))} holds no run"):
+        load_run(tmp_path)
+
+
+def test_what_is_not_there_yet_is_said(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=0)
+    with pytest.raises(FileNotFoundError, match="holds no decisions yet"):
+        _ = load_run(folder).steps
+    with pytest.raises(FileNotFoundError, match="the run has not ended"):
+        _ = load_run(folder).summary
+
+
+@pytest.fixture
+def small_run(tmp_path: Path) -> Run:
+    """A run of four parts, to be broken."""
+    return load_run(write_run(tmp_path, n_decisions=40, rows_per_part=10))
+
+
+def test_a_missing_part_is_named(small_run: Run) -> None:
+    small_run.parts()[1].unlink()
+    with pytest.raises(FileNotFoundError, match=r"part-00001.parquet is missing"):
+        _ = small_run.steps
+
+
+def test_a_broken_part_is_named(small_run: Run) -> None:
+    broken = small_run.parts()[2]
+    broken.write_bytes(broken.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"part-00002.parquet cannot be read"):
+        _ = small_run.steps
+
+
+def test_a_part_that_is_being_written_is_not_read(small_run: Run) -> None:
+    (small_run.folder / "steps" / ".part-00004.parquet.tmp").write_bytes(b"not yet")
+    assert small_run.n_decisions == 40
+
+
+def test_an_unknown_column_or_agent_is_named(small_run: Run) -> None:
+    with pytest.raises(ValueError, match="has no column sound"):
+        small_run.column("sound")
+    with pytest.raises(ValueError, match=r"agent must lie in \[0, 1\), got 1"):
+        small_run.table(agent=1)
+
+
+def test_shares_of_zones_are_counted_window_by_window(run: Run) -> None:
+    shares = zone_shares(run, window=300)
+    assert shares.shape == (5, N_AGENTS, 3)  # the last 100 decisions are no window
+    zones = run.column("zone")
+    assert shares[2, 1, 0] == np.mean(zones[600:900, 1] == 0)
+    assert_allclose(shares.sum(axis=2), 1.0)
+
+
+def write_zones(folder: Path, zones: list[int]) -> Run:
+    """Write a run of one agent that was in the given zones."""
+    write_run(folder, n_decisions=len(zones))
+    for path in load_run(folder).parts():
+        table = pq.read_table(path)
+        column = np.array(zones, dtype=np.int8)[table["step"].to_numpy()]
+        place = table.column_names.index("zone")
+        pq.write_table(table.set_column(place, "zone", [column]), path)
+    return load_run(folder)
+
+
+def test_focus_begins_with_the_first_window_above_the_share(tmp_path: Path) -> None:
+    ten = {share: [2] * share + [0] * (10 - share) for share in range(11)}
+    run = write_zones(tmp_path, ten[3] + ten[6] + ten[7] + ten[9])
+    assert focus_steps(run, "f3", share=0.6, window=10) == [20]  # six in ten are not more than 0.6
+    assert focus_steps(run, "f2", share=0.5, window=10) == [None]
+    assert focus_steps(run, "f3", share=0.6, window=50) == [None]  # no window is full
+
+
+def test_curves_are_means_over_the_line_of_descent(run: Run) -> None:
+    """Each point against the definition: the last errors of the region and its ancestors."""
+    steps = run.table(["error", "region"], agent=1)
+    errors, regions = steps["error"].to_numpy(), steps["region"].to_numpy()
+    curves = error_curves(run, agent=1, window=150)
+    assert len(curves) > 5
+    for curve in curves:
+        line = [curve.region, *ancestors(run, curve.region, agent=1)]
+        for decision, mean in zip(curve.decisions, curve.mean_errors, strict=True):
+            so_far = np.isin(regions[: decision + 1], line)
+            assert mean == pytest.approx(errors[: decision + 1][so_far][-150:].mean())
+
+
+def test_children_start_where_their_parent_ends(run: Run) -> None:
+    curves = {curve.region: curve for curve in error_curves(run)}
+    for region, curve in curves.items():
+        line = ancestors(run, region)
+        if line:
+            parent = curves[line[0]]
+            assert curve.decisions[0] == parent.decisions[-1]
+            assert curve.mean_errors[0] == pytest.approx(parent.mean_errors[-1])
+
+
+@given(
+    st.lists(st.floats(0, 1), min_size=1, max_size=50),
+    st.integers(1, 60),
+)
+def test_a_running_mean_is_the_mean_of_the_last_values(values: list[float], window: int) -> None:
+    expected = [np.mean(values[max(0, i - window + 1) : i + 1]) for i in range(len(values))]
+    assert_allclose(runs._running_mean(np.array(values), window), expected, atol=1e-12)
+
+
+def test_ancestors_lead_to_the_root(run: Run) -> None:
+    assert ancestors(run, 0) == ()
+    family = run.family(2).to_pylist()
+    deepest = max(family, key=lambda row: row["depth"])
+    line = ancestors(run, deepest["region"], agent=2)
+    assert len(line) == deepest["depth"]
+    assert line[-1] == 0
+
+
+def test_a_region_has_the_zone_of_most_of_its_decisions(run: Run) -> None:
+    steps = run.table(["region", "zone"], agent=0).to_pylist()
+    cover = region_zones(run, agent=0)
+    for region in range(len(cover.zone)):
+        zones = [row["zone"] for row in steps if row["region"] == region]
+        if zones:
+            counts = np.bincount(zones)
+            assert counts[cover.zone[region]] == counts.max()
+            assert cover.purity[region] == counts.max() / len(zones)
+        else:
+            assert cover.zone[region] == -1
+            assert np.isnan(cover.purity[region])
+
+
+def test_the_summary_on_disk_is_what_summarise_returns(run: Run) -> None:
+    summary = summarise(run, run.summary["seconds"])
+    assert json.loads(json.dumps(summary)) == run.summary
+
+
+def test_a_summary_tells_the_story_of_the_run(run: Run) -> None:
+    summary, zones, errors = run.summary, run.column("zone"), run.column("error")
+    assert (summary["n_agents"], summary["n_decisions"]) == (N_AGENTS, N_DECISIONS)
+    assert summary["decisions_per_second"] == N_DECISIONS / summary["seconds"]
+    assert summary["zone_shares"]["f3"] == pytest.approx(np.mean(zones == 2))
+    assert summary["settled_zone_shares"]["f2"] == pytest.approx(np.mean(zones[1000:] == 1))
+    late = [errors[-1000:, i][zones[-1000:, i] == 0].mean() for i in range(N_AGENTS)]
+    assert summary["late_zone_errors"]["f1"] == pytest.approx(np.mean(late))
+    assert list(summary["first_cuts"]) == ["sound"]
+    assert summary["first_cuts"]["sound"]["n_agents"] == N_AGENTS
+    assert summary["first_cuts"]["sound"]["median_value"] == pytest.approx(2 / 3)
+    assert summary["focus"]["f3"]["n_agents"] == N_AGENTS
+    assert summary["focus"]["f3"]["median_step"] < summary["focus"]["f2"]["median_step"]
+
+
+def test_a_summary_lists_agents(run: Run) -> None:
+    second = run.summary["agents"][1]
+    zones, family = run.column("zone")[:, 1], run.family(1).to_pylist()
+    assert second["seed"] == 101
+    assert second["zone_shares"]["f1"] == pytest.approx(np.mean(zones == 0))
+    assert second["n_regions"] == sum(row["split_step"] < 0 for row in family)
+    assert second["first_cut"] == {
+        "dimension": "sound",
+        "value": pytest.approx(2 / 3),
+        "step": family[0]["split_step"],
+    }
+
+
+def test_a_summary_lists_a_bounded_number_of_agents(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runs, "N_AGENTS_LISTED", 2)
+    summary = summarise(run, 1.0)
+    assert [agent["seed"] for agent in summary["agents"]] == [100, 101]
+    assert summary["zone_shares"] == run.summary["zone_shares"]
+
+
+def test_a_short_run_has_no_settled_shares_and_no_cut(tmp_path: Path) -> None:
+    summary = load_run(write_run(tmp_path, n_decisions=30)).summary
+    assert summary["settled_zone_shares"] == {"f1": None, "f2": None, "f3": None}
+    assert summary["first_cuts"] == {}
+    assert summary["agents"][0]["first_cut"] is None
+    assert summary["focus"]["f3"] == {"n_agents": 0, "median_step": None}
+
+
+def test_a_world_without_zones_has_a_summary_too(tmp_path: Path) -> None:
+    summary = load_run(write_run(tmp_path, n_decisions=300, zone_names=None)).summary
+    assert summary["n_regions"] == 2.0
+    assert summary["focus"] == {}
+    assert "zone_shares" not in summary

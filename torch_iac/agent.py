@@ -1,0 +1,355 @@
+"""The agent: a population of curious robots that act, observe and learn."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_iac.drives import Candidates, Drive, Progress
+from torch_iac.examples import Examples
+from torch_iac.experts import Experts, KNNExperts
+from torch_iac.progress import ErrorHistory
+from torch_iac.randomness import RandomStream
+from torch_iac.regions import Genealogy, RegionTree, best_cut
+from torch_iac.space import Dimension, Scale, SensorimotorSpace
+
+Array = TypeVar("Array", np.ndarray, Tensor)
+
+CHOICE_STREAM = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class IACConfig:
+    """Every number of the algorithm; the defaults are the paper's (preset `iac2004`).
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+
+    Source: Oudeyer and Kaplan (2004); where the paper is silent, the field says so.
+    """
+
+    experts: Experts = field(default_factory=KNNExperts)
+    """What predicts the outcome in each region."""
+    drive: Drive = field(default_factory=Progress)
+    """What a candidate action is worth."""
+    n_candidates: int = 50
+    """How many random actions are weighed at a decision (the papers do not say)."""
+    epsilon: float = 0.1
+    """Probability of a uniformly random action instead of the best candidate."""
+    max_examples: int = 250
+    """C1: a region splits when it holds more examples than this (NS)."""
+    balance: float = 0.15
+    """C2: smallest share of the examples that a child may keep (2004: "relatively balanced")."""
+    window: int = 150
+    """How many errors the mean error is taken over (DELAY; theta + 1 in 2007)."""
+    delay: int = 150
+    """How many errors lie between the two means compared (DELAY; tau in 2007)."""
+    error: Literal["absolute", "squared"] = "absolute"
+    """Prediction error, averaged over outcome dimensions: absolute (2004) or squared (2007)."""
+    inherit_history: bool = True
+    """Children take over their parent's errors and progress (2007; 2004 draws it in figure 2);
+    otherwise they start with none."""
+
+    def __post_init__(self) -> None:
+        for name in ("n_candidates", "max_examples", "window", "delay"):
+            least = 2 if name == "max_examples" else 1
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        for name, high in (("epsilon", 1), ("balance", 0.5)):
+            if not 0 <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must lie in [0, {high}], got {getattr(self, name)}")
+        if self.error not in ("absolute", "squared"):
+            raise ValueError(f"error must be absolute or squared, got {self.error}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return every number, and the kind and the numbers of the experts and of the drive."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("experts", "drive"):
+            part = values[name]
+            numbers = asdict(part) if is_dataclass(part) and not isinstance(part, type) else {}
+            values[name] = {"kind": type(part).__name__, **numbers}
+        return values
+
+
+PRESETS = {
+    "iac2004": IACConfig(),
+    "iac2007": IACConfig(epsilon=0.15, balance=0.0, window=26, delay=15, error="squared"),
+}
+"""The two papers' parameters. The 2007 robot also senses the toy's distance alone: in the toy room,
+`beams=0, toy_direction=False`."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One decision of every agent and what came of it; raw units unless said otherwise.
+
+    Attributes:
+        number: Which decision, from 0.
+        actions: Shape `(A, action_dim)`.
+        sensors: Shape `(A, sensor_dim)`, before the action.
+        outcomes: Shape `(A, K)`, what the predicted sensors read after the action.
+        predictions: Shape `(A, K)`, made before learning from the outcome.
+        errors: Shape `(A,)`, float64, in scaled units.
+        expected_errors: Shape `(A,)`, what MP expected, in scaled units; None without MP.
+        regions: Shape `(A,)`, the region whose expert predicted, before any split.
+        progress: Shape `(A,)`, float64, of that region when the action was chosen.
+        random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
+    """
+
+    number: int
+    actions: Tensor
+    sensors: Tensor
+    outcomes: Tensor
+    predictions: Tensor
+    errors: Tensor
+    expected_errors: Tensor | None
+    regions: Tensor
+    progress: Tensor
+    random_actions: Tensor
+
+
+@dataclass(frozen=True)
+class RegionSummary:
+    """The present leaves, by agent, then region; columns of equal length, on the CPU.
+
+    Attributes:
+        agent: Place of the agent in the population.
+        region: The region's number within its agent.
+        progress: Its last learning progress.
+        mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
+        n_examples: How many examples it holds.
+        lows: Shape `(L, D)`, lower bounds of its box, in the unit cube.
+        highs: Shape `(L, D)`, upper bounds.
+    """
+
+    agent: Tensor
+    region: Tensor
+    progress: Tensor
+    mean_error: Tensor
+    n_examples: Tensor
+    lows: Tensor
+    highs: Tensor
+
+
+@dataclass(frozen=True)
+class _Decision:
+    """What `act` decided and `observe` needs."""
+
+    sensors: Tensor  # (A, sensor_dim), raw
+    actions: Tensor  # (A, action_dim), raw
+    situations: Tensor  # (A, D)
+    nodes: Tensor  # (A,)
+    random: Tensor  # (A,)
+
+
+class IAC:
+    """A population of robots driven by Intelligent Adaptive Curiosity.
+
+    An agent's run depends on its own seed and on what its world returns, not on the others.
+
+    Args:
+        space: What the robots do, sense and predict.
+        config: The numbers of the algorithm.
+        seeds: One for each agent.
+        device: Where everything is kept and computed.
+
+    Raises:
+        ValueError: There are no seeds, or the device is not there.
+
+    Source: Oudeyer and Kaplan (2004).
+    """
+
+    def __init__(
+        self,
+        space: SensorimotorSpace,
+        config: IACConfig | None = None,
+        seeds: Sequence[int] = (0,),
+        device: torch.device | str = "cpu",
+    ) -> None:
+        if not seeds:
+            raise ValueError("seeds must name at least one agent, got none")
+        self.space = space
+        self.config = config = config or IACConfig()
+        self.seeds = tuple(int(seed) for seed in seeds)
+        self.device = _available(device)
+        self.n_decisions = 0
+
+        n_agents, action_dim = len(seeds), len(space.actions)
+        outcome_dim, situation_dim = len(space.outcomes), len(space.situation)
+        self.tree = RegionTree(n_agents, self.device)
+        self.examples = Examples(
+            n_agents, situation_dim, outcome_dim, config.max_examples, self.device
+        )
+        self.history = ErrorHistory(n_agents, config.window, config.delay, self.device)
+        self._choices = RandomStream(
+            self.seeds, config.n_candidates * action_dim + 1, CHOICE_STREAM, self.device
+        )
+        self._action_scale = Scale(space.actions, self.device)
+        self._sensor_scale = Scale(space.sensors, self.device)
+        self._outcome_scale = Scale(space.outcomes, self.device)
+        self._outcome_columns = torch.tensor(space.outcome_columns, device=self.device)
+        self._decision: _Decision | None = None
+
+    @property
+    def n_agents(self) -> int:
+        """How many robots there are."""
+        return len(self.seeds)
+
+    @torch.no_grad()
+    def act(self, sensors: Array) -> Array:
+        """Return the action that each agent takes now.
+
+        Args:
+            sensors: Shape `(A, sensor_dim)`, in raw units, as an array or a tensor.
+
+        Returns:
+            Shape `(A, action_dim)`, in raw units, float32, an array or a tensor like `sensors`.
+
+        Raises:
+            ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
+        """
+        readings = self._checked(sensors)
+        numbers = self._choices.at(self.n_decisions)
+        candidates, nodes = self._candidates(readings, numbers[:, 1:])
+        worth = self.config.drive.worth(candidates, self.history)
+        # Candidates are drawn independently, so the first is a random action,
+        # and the first of the best is a random one of them.
+        random = numbers[:, 0] < self.config.epsilon
+        chosen = worth.argmax(dim=1).masked_fill_(random, 0)[:, None]
+        situations = candidates.situations.gather(
+            1, chosen[..., None].expand(-1, 1, candidates.situations.shape[2])
+        )[:, 0]
+        actions = self._action_scale.to_raw(situations[:, : len(self.space.actions)])
+        nodes = nodes.gather(1, chosen)[:, 0]
+        self._decision = _Decision(readings, actions, situations, nodes, random)
+        return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
+
+    @torch.no_grad()
+    def observe(self, sensors: Array) -> Step:
+        """Learn from what the sensors read after the action.
+
+        Args:
+            sensors: Shape `(A, sensor_dim)`, in raw units, as an array or a tensor.
+
+        Raises:
+            RuntimeError: There was no `act` before.
+            ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
+        """
+        decision = self._decision
+        if decision is None:
+            raise RuntimeError("observe needs an action to learn from: call act first")
+        readings = self._checked(sensors)
+        raw_outcomes = readings.index_select(1, self._outcome_columns)
+        outcomes = self._outcome_scale.to_unit(raw_outcomes)
+        rows = self.tree.rows[decision.nodes]
+        predictions = self.config.experts.predict(self.examples, rows, decision.situations)
+        errors = self._errors(predictions, outcomes)
+        step = Step(
+            number=self.n_decisions,
+            actions=decision.actions,
+            sensors=decision.sensors,
+            outcomes=raw_outcomes,
+            predictions=self._outcome_scale.to_raw(predictions),
+            errors=errors,
+            expected_errors=None,
+            regions=self.tree.region[decision.nodes],
+            progress=self.history.progress[rows],
+            random_actions=decision.random,
+        )
+        self._learn(rows, decision, outcomes, errors)
+        self.n_decisions += 1
+        self._decision = None
+        return step
+
+    def genealogy(self) -> Genealogy:
+        """Return every region ever made."""
+        return self.tree.genealogy(self.examples.counts)
+
+    def region_summary(self) -> RegionSummary:
+        """Return what each present leaf knows and where it is."""
+        nodes = self.tree.leaves()
+        rows = self.tree.rows[nodes]
+        lows, highs = self.tree.boxes(len(self.space.situation))
+        columns = RegionSummary(
+            agent=self.tree.agent[nodes],
+            region=self.tree.region[nodes],
+            progress=self.history.progress[rows],
+            mean_error=self.history.mean_error(rows),
+            n_examples=self.examples.counts[rows],
+            lows=lows[nodes],
+            highs=highs[nodes],
+        )
+        return RegionSummary(**{name: column.cpu() for name, column in vars(columns).items()})
+
+    def _checked(self, sensors: Array) -> Tensor:
+        expected = (self.n_agents, len(self.space.sensors))
+        if tuple(sensors.shape) != expected:
+            raise ValueError(
+                f"sensors must have the shape (agents, sensors) = {expected}, "
+                f"got {tuple(sensors.shape)}"
+            )
+        given = torch.from_numpy(sensors) if isinstance(sensors, np.ndarray) else sensors
+        # A copy, since worlds reuse their buffers.
+        readings = given.to(self.device, torch.float32, copy=True)
+        outside = self._sensor_scale.outside(readings)
+        if outside.any():
+            agent, column = outside.nonzero()[0].tolist()
+            raise ValueError(_outside(self.space.sensors[column], agent, readings[agent, column]))
+        return readings
+
+    def _candidates(self, readings: Tensor, numbers: Tensor) -> tuple[Candidates, Tensor]:
+        actions = numbers.reshape(self.n_agents, self.config.n_candidates, len(self.space.actions))
+        context = self._sensor_scale.to_unit(readings)[:, None]
+        situations = torch.cat([actions, context.expand(-1, self.config.n_candidates, -1)], dim=2)
+        nodes = self.tree.route(situations)
+        return Candidates(situations, self.tree.rows[nodes]), nodes
+
+    def _errors(self, predictions: Tensor, outcomes: Tensor) -> Tensor:
+        difference = predictions.double() - outcomes
+        size = difference.abs() if self.config.error == "absolute" else difference.square()
+        return size.mean(dim=1)
+
+    def _learn(self, rows: Tensor, decision: _Decision, outcomes: Tensor, errors: Tensor) -> None:
+        self.history.add(rows, errors)
+        counts = self.examples.add(rows, decision.situations, outcomes)
+        full = (counts > self.config.max_examples).nonzero()[:, 0]
+        if len(full):
+            self._split(decision.nodes[full], rows[full])
+
+    def _split(self, nodes: Tensor, rows: Tensor) -> None:
+        situations = self.examples.situations[rows]  # (F, D, N)
+        outcomes = self.examples.outcomes[rows]
+        cut = best_cut(situations.mT, outcomes.mT, self.config.balance)
+        self.examples.forget_oldest(rows[~cut.found])
+        nodes, rows, situations = nodes[cut.found], rows[cut.found], situations[cut.found]
+        if not len(nodes):
+            return
+        cut = type(cut)(*(column[cut.found] for column in vars(cut).values()))
+        new_rows = self.tree.split(nodes, cut, self.examples.counts[rows], self.n_decisions)
+        self.examples.reserve(self.tree.n_rows)
+        self.history.reserve(self.tree.n_rows)
+        along_cut = situations.gather(
+            1, cut.dimension[:, None, None].expand(-1, 1, situations.shape[2])
+        )[:, 0]
+        self.examples.split(rows, new_rows, along_cut > cut.value[:, None])
+        if self.config.inherit_history:
+            self.history.inherit(rows, new_rows)
+        else:
+            self.history.forget(torch.cat([rows, new_rows]))
+
+
+def _available(device: torch.device | str) -> torch.device:
+    try:
+        return torch.empty(0, device=device).device
+    except (RuntimeError, AssertionError):
+        raise ValueError(f"device must be one that this machine has, got {device}") from None
+
+
+def _outside(sensor: Dimension, agent: int, value: Tensor) -> str:
+    return (
+        f"sensor {sensor.name} must lie in [{sensor.low:g}, {sensor.high:g}], "
+        f"got {value.item():g} from agent {agent}"
+    )

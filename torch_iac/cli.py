@@ -1,0 +1,216 @@
+"""The command `torch-iac`."""
+
+import logging
+import platform
+import sys
+from argparse import ArgumentParser
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from importlib.metadata import version
+from json import JSONDecodeError, loads
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import gymnasium as gym
+import torch
+import tyro
+
+import torch_iac_envs  # noqa: F401 - registers the worlds
+from torch_iac.agent import IAC, PRESETS, IACConfig
+from torch_iac.drives import Drive, Progress, Random
+from torch_iac.experts import Experts, KNNExperts
+from torch_iac.figures import save_figures
+from torch_iac.recording import Recorder
+from torch_iac.runs import Run, load_run
+from torch_iac.space import SensorimotorSpace
+from torch_iac.training import train
+
+WORLDS = {"toyroom": "torch_iac_envs/ToyRoom-v0"}
+OUTCOMES = {"toyroom": ("toy_distance",)}
+EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts}
+DRIVES: dict[str, type[Drive]] = {"progress": Progress, "random": Random}
+PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
+
+
+@dataclass(frozen=True)
+class Train:
+    """Let robots develop in a world and write down what they do.
+
+    The run folder holds every decision, every region, TensorBoard's files, a summary and the
+    paper's figures.
+    """
+
+    world: Literal["toyroom"] = "toyroom"
+    """Where the robots live."""
+    preset: Literal["iac2004", "iac2007"] = "iac2004"
+    """Which paper's numbers the options start from; they are the defaults shown here."""
+    experts: Literal["knn"] = "knn"
+    """What predicts in each region; its own options are among those below."""
+    drive: Literal["progress", "random"] = "progress"
+    """What the robot wants; its own options are among those below."""
+    steps: int = 10_000
+    """How many decisions each robot takes."""
+    seed: int = 0
+    """Seed of the first robot; each further one has the next."""
+    agents: int = 1
+    """How many robots, each in a world of its own."""
+    out: Path | None = None
+    """The run folder; by default a new one in runs/, named by the time."""
+    device: str = "cpu"
+    """Where the robots think: cpu, cuda, cuda:1, ... or auto (cuda if there is one)."""
+    outcomes: tuple[str, ...] = ()
+    """The sensors to predict, or all; by default what the paper predicts in that world."""
+    world_options: tuple[str, ...] = ()
+    """Arguments of the world, such as beams=4 sensor_noise=0."""
+    log_every: int = 100
+    """How many decisions lie between two logs to TensorBoard."""
+    iac: Annotated[IACConfig, tyro.conf.arg(name="")] = field(default_factory=IACConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "agents", "log_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    def run(self) -> None:
+        """Carry the command out."""
+        out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
+        options = _options(self.world_options)
+        seeds = range(self.seed, self.seed + self.agents)
+        env = gym.make_vec(WORLDS[self.world], self.agents, "sync", **options)
+        try:
+            outcomes = self.outcomes or OUTCOMES[self.world]
+            space = SensorimotorSpace.from_env(env, "all" if outcomes == ("all",) else outcomes)
+            agent = IAC(space, self.iac, seeds, _device(self.device))
+            zone_names = env.metadata.get("zone_names")
+            config = self._description(options)
+            with Recorder(out, agent, zone_names, config, log_every=self.log_every) as recorder:
+                train(agent, env, self.steps, recorder)
+        finally:
+            env.close()
+        save_figures(out)
+        print(_report(load_run(out)))  # noqa: T201 - the command's answer
+
+    def _description(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "command": ["torch-iac", *sys.argv[1:]],
+            "versions": {"python": platform.python_version(), **{p: version(p) for p in PACKAGES}},
+            "world": {"name": self.world, "id": WORLDS[self.world], "options": dict(options)},
+            "steps": self.steps,
+            "device": self.device,
+            "preset": self.preset,
+            "iac": self.iac.to_json(),
+        }
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Draw figures 2 and 3 of the paper for a run, into its folder."""
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    pdf: bool = False
+    """Also write each figure as a vector graphic."""
+
+    def run(self) -> None:
+        """Carry the command out."""
+        for path in save_figures(self.run_folder, pdf=self.pdf):
+            print(path)  # noqa: T201 - the command's answer
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; an error that the user can mend is one sentence, with exit code 2."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    command = _parsed(list(sys.argv[1:] if arguments is None else arguments))
+    try:
+        command.run()
+    except (ValueError, OSError, gym.error.Error) as error:
+        print(f"torch-iac: {error}", file=sys.stderr)  # noqa: T201 - the command's answer
+        sys.exit(2)
+
+
+def _parsed(arguments: list[str]) -> Train | Figures:
+    settings = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
+    if arguments[:1] == ["train"]:
+        return tyro.cli(
+            Train,
+            default=_defaults(arguments),
+            prog="torch-iac train",
+            args=arguments[1:],
+            config=settings,
+        )
+    if arguments[:1] == ["figures"]:
+        return tyro.cli(Figures, prog="torch-iac figures", args=arguments[1:], config=settings)
+    return tyro.cli(  # says which commands there are
+        Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Figures, tyro.conf.subcommand("figures")],
+        prog="torch-iac",
+        description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
+        args=arguments,
+    )
+
+
+def _defaults(arguments: Sequence[str]) -> Train:
+    """Return what the choice of preset, experts and drive makes of the other options."""
+    parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for name in ("preset", "experts", "drive"):
+        parser.add_argument(f"--{name}")
+    chosen = vars(parser.parse_known_args(arguments)[0])
+    iac = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
+    if chosen["experts"] in EXPERTS:
+        iac = replace(iac, experts=EXPERTS[chosen["experts"]]())
+    if chosen["drive"] in DRIVES:
+        iac = replace(iac, drive=DRIVES[chosen["drive"]]())
+    return Train(iac=iac)
+
+
+def _options(pairs: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of a world, written as name=value, the value in JSON or plain text."""
+    options = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not (name and equals):
+            raise ValueError(f"world options must be written name=value, got {pair}")
+        try:
+            options[name.replace("-", "_")] = loads(value)
+        except JSONDecodeError:
+            options[name.replace("-", "_")] = value
+    return options
+
+
+def _device(name: str) -> str:
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    return name
+
+
+def _report(run: Run) -> str:
+    """Return in words what the robots did, and where to look."""
+    summary = run.summary
+    who = "The robot" if run.n_agents == 1 else f"Each of {run.n_agents} robots"
+    lines = [
+        f"{who} took {run.n_decisions:,} decisions in {summary['seconds']:.0f} s "
+        f"({summary['decisions_per_second']:.0f} a second) "
+        f"and made {summary['n_regions']:.0f} regions."
+    ]
+    for name, cuts in summary["first_cuts"].items():
+        lines.append(
+            f"First cut: {name} at {cuts['median_value']:.2f}, "
+            f"at decision {cuts['median_step']:.0f}{_share(cuts, run)}."
+        )
+    for zone, focus in summary["focus"].items():
+        if focus["n_agents"]:
+            lines.append(
+                f"Focus on {zone}: from decision {focus['median_step']:.0f}{_share(focus, run)}."
+            )
+        else:
+            lines.append(f"Focus on {zone}: never.")
+    if "zone_shares" in summary:
+        shares = ", ".join(f"{zone} {share:.0%}" for zone, share in summary["zone_shares"].items())
+        lines.append(f"Time: {shares}.")
+    lines.append(f"Look at {run.folder / 'figures'}, or: tensorboard --logdir {run.folder.parent}")
+    return "\n".join(lines)
+
+
+def _share(count: Mapping[str, Any], run: Run) -> str:
+    return "" if run.n_agents == 1 else f" (median; {count['n_agents']} of {run.n_agents} robots)"

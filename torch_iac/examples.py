@@ -1,0 +1,93 @@
+"""The examples that each region holds.
+
+Every leaf of every agent has one *row*, its own place in the tables of examples, of error histories
+and of network weights. Rows are shared out as leaves appear, over all agents, so that memory
+follows the number of leaves and not the size of the largest tree. `L` is the number of rows.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from torch_iac.table import reserve
+
+NO_EXAMPLE_OUTCOME = 0.5
+"""What is predicted without any example: the middle of the scale."""
+
+
+class Examples:
+    """The examples of each leaf, oldest first.
+
+    Attributes:
+        situations: Shape `(L, D, N)`, in the unit cube; infinite where there is no example, so
+            that an absent example is never the nearest.
+        outcomes: Shape `(L, K, N)`, in scaled units; `NO_EXAMPLE_OUTCOME` where there is none.
+        counts: Shape `(L,)`, how many examples each row holds.
+    """
+
+    def __init__(
+        self,
+        n_rows: int,
+        situation_dim: int,
+        outcome_dim: int,
+        max_examples: int,
+        device: torch.device,
+    ) -> None:
+        # One place more than a region may keep: the example that makes it split.
+        size = max_examples + 1
+        self.situations = torch.full((n_rows, situation_dim, size), math.inf, device=device)
+        self.outcomes = torch.full((n_rows, outcome_dim, size), NO_EXAMPLE_OUTCOME, device=device)
+        self.counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
+
+    def add(self, rows: Tensor, situations: Tensor, outcomes: Tensor) -> Tensor:
+        """Store one example in each of some different rows and return their new counts.
+
+        Args:
+            rows: Shape `(A,)`.
+            situations: Shape `(A, D)`.
+            outcomes: Shape `(A, K)`.
+        """
+        counts = self.counts[rows]
+        self.situations[rows, :, counts] = situations
+        self.outcomes[rows, :, counts] = outcomes
+        counts += 1
+        self.counts[rows] = counts
+        return counts
+
+    def reserve(self, n_rows: int) -> None:
+        """Make room for `n_rows` rows."""
+        self.situations = reserve(self.situations, n_rows, math.inf)
+        self.outcomes = reserve(self.outcomes, n_rows, NO_EXAMPLE_OUTCOME)
+        self.counts = reserve(self.counts, n_rows, 0)
+
+    def split(self, rows: Tensor, new_rows: Tensor, goes_right: Tensor) -> None:
+        """Move the examples of full rows that go right to new rows, each side in order of age.
+
+        Args:
+            rows: Shape `(F,)`; they keep the examples that go left.
+            new_rows: Shape `(F,)`, rows not used before.
+            goes_right: Shape `(F, N)`, which examples go.
+        """
+        situations, outcomes = self.situations[rows], self.outcomes[rows]
+        for target, goes in ((rows, ~goes_right), (new_rows, goes_right)):
+            counts = goes.sum(-1)
+            order = goes.to(torch.int8).sort(dim=-1, descending=True, stable=True).indices
+            absent = torch.arange(goes.shape[-1], device=goes.device) >= counts[:, None]
+            self.counts[target] = counts
+            self.situations[target] = _arrange(situations, order, absent, math.inf)
+            self.outcomes[target] = _arrange(outcomes, order, absent, NO_EXAMPLE_OUTCOME)
+
+    def forget_oldest(self, rows: Tensor) -> None:
+        """Drop the oldest example of full rows, shape `(F,)`."""
+        self.counts[rows] -= 1
+        for column, fill in ((self.situations, math.inf), (self.outcomes, NO_EXAMPLE_OUTCOME)):
+            kept = column[rows].roll(-1, dims=-1)
+            kept[..., -1] = fill
+            column[rows] = kept
+
+
+def _arrange(examples: Tensor, order: Tensor, absent: Tensor, fill: float) -> Tensor:
+    """Put the last dimension of `(F, ., N)` in an order `(F, N)` and fill what is absent."""
+    arranged = examples.gather(-1, order[:, None].expand_as(examples))
+    return arranged.masked_fill_(absent[:, None], fill)

@@ -1,0 +1,236 @@
+"""Figures 2 and 3 of the 2004 paper, drawn from any run folder.
+
+Colours are Okabe and Ito's, which colour-blind readers tell apart.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from torch_iac.runs import (
+    WINDOW,
+    ErrorCurve,
+    Run,
+    error_curves,
+    load_run,
+    region_zones,
+    zone_shares,
+)
+
+ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Vermillion, blue, bluish green, reddish purple, orange, sky blue: zone after zone."""
+
+MIXED_COLOUR = "#999999"
+"""For regions that cover no zone well enough."""
+
+LEAST_PURITY = 2 / 3
+"""A region has the colour of a zone if so many of its decisions were in it."""
+
+SIZE = (3.5, 2.6)
+"""Inches: one column of a paper."""
+
+STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "pdf.fonttype": 42,  # text stays text
+}
+
+MAX_POINTS = 400
+"""A curve is drawn with at most so many points."""
+
+N_RESAMPLES = 1000
+"""How many times the bootstrap draws agents anew."""
+
+
+def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
+    """Draw the figures of a run into its folder, under `figures/`, and return where they are.
+
+    `experts.png` is figure 2, of agent 0; `zones.png` is figure 3, for worlds that have zones.
+
+    Args:
+        folder: The run folder.
+        pdf: Also write each as a vector graphic.
+
+    Raises:
+        FileNotFoundError: The folder holds no run, or no decisions yet.
+    """
+    run = load_run(folder)
+    figures = {"experts": draw_experts(run)}
+    if run.zone_names:
+        figures["zones"] = draw_zones(run)
+    target = run.folder / "figures"
+    target.mkdir(exist_ok=True)
+    paths = []
+    for name, figure in figures.items():
+        for kind in ("png", "pdf") if pdf else ("png",):
+            paths.append(target / f"{name}.{kind}")
+            with mpl.rc_context(STYLE):
+                figure.savefig(paths[-1], dpi=220)
+    return paths
+
+
+def draw_experts(run: Run, agent: int = 0, window: int = 150) -> Figure:
+    """Return figure 2: the tree of an agent's experts, by the mean error of each over time.
+
+    A curve is the mean of the last `window` errors of a region, each error being the mean absolute
+    difference (or as the run's config says) between prediction and outcome, in scaled units. It
+    lasts from the region's birth to its split, where the curves of its two children begin. Its
+    colour is the zone that it mostly covers, or its depth in a world without zones.
+
+    Args:
+        run: The run.
+        agent: Whose experts.
+        window: How many errors the mean is over.
+    """
+    curves = error_curves(run, agent, window)
+    with mpl.rc_context(STYLE):
+        figure, axes = _axes(run.n_decisions)
+        colours, key = _zone_colours(run, agent) if run.zone_names else _depth_colours(run, agent)
+        axes.add_collection(
+            LineCollection(
+                [_points(curve) for curve in curves],
+                colors=[colours[curve.region] for curve in curves],
+                linewidths=0.9 if len(curves) < 60 else 0.6,
+                capstyle="round",
+            )
+        )
+        axes.autoscale_view(scalex=False)
+        axes.set_ylim(bottom=0)
+        axes.set_ylabel(f"Mean of last {window} errors (scaled)")
+        _legend(figure, [_line(colour, name) for name, colour in key.items()])
+    return figure
+
+
+def draw_zones(run: Run, window: int = WINDOW) -> Figure:
+    """Return figure 3: the share of its time that the robot spends in each zone, over time.
+
+    For several agents, lines are means and bands their 95 % bootstrap confidence intervals.
+
+    Args:
+        run: The run.
+        window: Over how many decisions shares are taken; a shorter run is one window.
+
+    Raises:
+        ValueError: The world has no zones.
+    """
+    if not run.zone_names:
+        raise ValueError(f"the world of {run.folder} has no zones, so there are no shares to draw")
+    window = min(window, run.n_decisions)
+    shares = zone_shares(run, window)
+    middles = (np.arange(len(shares)) + 0.5) * window
+    low, high = _confidence(shares)
+    with mpl.rc_context(STYLE):
+        figure, axes = _axes(run.n_decisions)
+        for zone in range(len(run.zone_names)):
+            colour, mean = _zone_colour(zone), shares[:, :, zone].mean(axis=1)
+            axes.plot(middles, mean, color=colour, linewidth=1.2)
+            axes.fill_between(middles, low[:, zone], high[:, zone], **_band(colour))
+        axes.set_ylim(0, 1)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_ylabel(f"Share of time in {window} decisions")
+        key: list[Line2D | Patch] = [
+            _line(_zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
+        ]
+        if run.n_agents > 1:
+            label = f"95 % CI of the mean, {run.n_agents:,} agents"
+            key.append(Patch(label=label, **_band(MIXED_COLOUR)))
+        _legend(figure, key)
+    return figure
+
+
+def _axes(n_decisions: int) -> tuple[Figure, Axes]:
+    """Return a figure of one column, with time along the horizontal axis."""
+    figure = Figure(figsize=SIZE, layout="constrained")
+    axes = figure.subplots()
+    axes.set_xlim(0, n_decisions)
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
+    axes.set_xlabel("Decisions")
+    return figure, axes
+
+
+def _legend(figure: Figure, key: Sequence[Line2D | Patch]) -> None:
+    """Put a legend above the axes, clear of the data."""
+    figure.legend(
+        handles=key,
+        loc="outside upper center",
+        ncols=len(key),
+        frameon=False,
+        handlelength=1.4,
+        columnspacing=1.2,
+    )
+
+
+def _line(colour: str, label: str) -> Line2D:
+    return Line2D([], [], color=colour, linewidth=1.6, label=label)
+
+
+def _band(colour: str) -> dict[str, Any]:
+    return {"color": colour, "alpha": 0.25, "linewidth": 0}
+
+
+def _zone_colour(zone: int) -> str:
+    return ZONE_COLOURS[zone % len(ZONE_COLOURS)]
+
+
+def _zone_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:
+    """Return the colour of each region by the zone it mostly covers, and what colours mean."""
+    cover = region_zones(run, agent)
+    colours = [
+        _zone_colour(zone) if purity >= LEAST_PURITY else MIXED_COLOUR
+        for zone, purity in zip(cover.zone.tolist(), cover.purity.tolist(), strict=True)
+    ]
+    key = {name: _zone_colour(zone) for zone, name in enumerate(run.zone_names)}
+    return colours, {**key, "several zones": MIXED_COLOUR}
+
+
+def _depth_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:
+    """Return the colour of each region by its depth in the tree, and what colours mean."""
+    depths = run.family(agent)["depth"].to_numpy()
+    deepest = max(1, int(depths.max()))
+    shade = [to_hex(mpl.colormaps["viridis"](0.9 * d / deepest)) for d in range(deepest + 1)]
+    shown = sorted({0, deepest // 2, deepest})
+    return [shade[depth] for depth in depths], {f"depth {d}": shade[d] for d in shown}
+
+
+def _points(curve: ErrorCurve) -> NDArray[np.float64]:
+    """Return the points of a curve, shape `(P, 2)`, thinned out if there are too many."""
+    n_points = len(curve.decisions)
+    kept = np.unique(np.linspace(0, n_points - 1, min(n_points, MAX_POINTS)).round().astype(int))
+    return np.stack([curve.decisions[kept], curve.mean_errors[kept]], axis=1)
+
+
+def _confidence(shares: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the 95 % bootstrap confidence interval of the mean over agents.
+
+    Args:
+        shares: Shape `(W, A, Z)`.
+
+    Returns:
+        Its lower and its upper end, each of shape `(W, Z)`.
+    """
+    n_agents = shares.shape[1]
+    rng = np.random.default_rng(0)
+    weights = rng.multinomial(n_agents, np.full(n_agents, 1 / n_agents), N_RESAMPLES) / n_agents
+    means = np.einsum("ra,waz->rwz", weights, shares, optimize=True)
+    low, high = np.percentile(means, [2.5, 97.5], axis=0)
+    return low, high

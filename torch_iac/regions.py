@@ -1,0 +1,342 @@
+"""Regions of sensorimotor space: which one a situation is in, and how a full one splits.
+
+The trees of all agents share one table of nodes (a struct of arrays); a node is known by its place
+in it, a *region* by its number within its agent, in order of birth, the root being 0. `F` counts
+the full regions that split at the same decision, one an agent at most.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_iac.space import UNIT_STEP
+from torch_iac.table import reserve
+
+NONE = -1
+"""Stands for no parent, no split yet, no cut."""
+
+CUTS = 8
+"""How many cuts a bundle holds: as many as a 64-bit word has bytes."""
+
+TIE = 1e-12
+"""Two cuts whose gains differ by less, relatively, are tied: rounding must not decide."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Where to cut some full regions in two; at most the value goes left, above it right.
+
+    Attributes:
+        found: Shape `(F,)`, bool, whether any cut was admissible; the rest means nothing if not.
+        dimension: Shape `(F,)`, which dimension of the situation.
+        value: Shape `(F,)`, float32, in the unit cube.
+    """
+
+    found: Tensor
+    dimension: Tensor
+    value: Tensor
+
+
+@dataclass(frozen=True)
+class Genealogy:
+    """Every region ever made, by agent, then region; columns of equal length, on the CPU.
+
+    Attributes:
+        agent: Place of the agent in the population.
+        region: The region's number within its agent.
+        parent: The region it came from; `NONE` for a root.
+        depth: How many cuts separate it from its root.
+        born_step: The decision that made it.
+        split_step: The decision that split it; `NONE` for a leaf.
+        cut_dimension: Which dimension of the situation it was cut along; `NONE` for a leaf.
+        cut_value: Where, in the unit cube; NaN for a leaf.
+        n_examples: How many examples it holds, or held when it split.
+    """
+
+    agent: Tensor
+    region: Tensor
+    parent: Tensor
+    depth: Tensor
+    born_step: Tensor
+    split_step: Tensor
+    cut_dimension: Tensor
+    cut_value: Tensor
+    n_examples: Tensor
+
+
+class RegionTree:
+    """The region trees of a population; each agent starts with one region, the whole cube.
+
+    Routing compares a situation with eight cuts at once. Neighbouring cuts of a tree are tied into
+    *bundles*, each known by the node at its top: a table says, for each of the 256 ways in which a
+    situation may lie to the eight cuts, at which node it leaves the bundle. A leaf is a bundle
+    without cuts that leads to itself.
+
+    Attributes:
+        rows: Shape `(R,)`, the row of each leaf in the tables of examples and errors.
+        region: Shape `(R,)`, each node's number within its agent.
+        n_nodes: How many nodes there are, over all agents.
+        n_rows: How many leaves there are, over all agents.
+    """
+
+    def __init__(self, n_agents: int, device: torch.device) -> None:
+        self.n_nodes = self.n_rows = n_agents
+        self.roots = torch.arange(n_agents, device=device)
+        self._n_regions = torch.ones_like(self.roots)
+        self._n_exits = n_agents
+        self._n_bundle_levels = 0
+
+        def column(value: float, dtype: torch.dtype = torch.int64, width: int = 0) -> Tensor:
+            shape = (n_agents, width) if width else (n_agents,)
+            return torch.full(shape, value, dtype=dtype, device=device)
+
+        self.agent = self.roots.clone()
+        self.rows = self.roots.clone()
+        self.region = column(0)
+        self.parent = column(NONE)
+        self.depth = column(0)
+        self.born_step = column(0)
+        self.split_step = column(NONE)
+        self.split_count = column(0)
+        self.cut_dimension = column(NONE)
+        self.cut_value = column(math.nan, torch.float32)
+
+        self._bundle = self.roots.clone()  # the bundle that a leaf is an exit of
+        self._bundle_level = column(0)
+        self._n_cuts = column(CUTS)  # of a bundle; a leaf is none yet, so it has no room
+        self._dimensions = column(0, width=CUTS)
+        self._values = column(math.inf, torch.float32, CUTS)  # nothing lies above
+        self._first_exit = self.roots.clone()
+        self._exits = self.roots.clone()
+
+    def route(self, situations: Tensor) -> Tensor:
+        """Return the leaf that holds each situation, as a node.
+
+        Args:
+            situations: Shape `(A, C, D)`, in the unit cube.
+
+        Returns:
+            Shape `(A, C)`.
+        """
+        n_agents, n_candidates, situation_dim = situations.shape
+        starts = torch.arange(0, situations.numel(), situation_dim, device=situations.device)
+        nodes = self.roots.repeat_interleave(n_candidates)
+        for _ in range(self._n_bundle_levels):
+            places = self._dimensions.index_select(0, nodes).add_(starts[:, None])
+            above = situations.take(places) > self._values.index_select(0, nodes)
+            nodes = self._exits.take(self._first_exit.take(nodes).add_(_as_number(above)))
+        return nodes.view(n_agents, n_candidates)
+
+    def split(self, nodes: Tensor, cut: Cut, counts: Tensor, step: int) -> Tensor:
+        """Give each of some leaves two children and return the rows of the right ones.
+
+        The left child takes over its parent's row; the right one gets a new row.
+
+        Args:
+            nodes: Shape `(F,)`, leaves of different agents.
+            cut: Their cuts, all found.
+            counts: Shape `(F,)`, how many examples each holds.
+            step: The decision that makes them split.
+
+        Returns:
+            Shape `(F,)`.
+        """
+        n_split = len(nodes)
+        left = self.n_nodes + 2 * torch.arange(n_split, device=nodes.device)
+        new_rows = self.n_rows + torch.arange(n_split, device=nodes.device)
+        self.n_nodes += 2 * n_split
+        self.n_rows += n_split
+        self._reserve()
+        self.split_step[nodes] = step
+        self.split_count[nodes] = counts
+        self.cut_dimension[nodes] = cut.dimension
+        self.cut_value[nodes] = cut.value
+        self._bear(nodes, left, self.rows[nodes], step)
+        self._bear(nodes, left + 1, new_rows, step)
+        self._tie(nodes, left, cut)
+        return new_rows
+
+    def _bear(self, parents: Tensor, children: Tensor, rows: Tensor, step: int) -> None:
+        agents = self.agent[parents]
+        self.agent[children] = agents
+        self.rows[children] = rows
+        self.region[children] = self._n_regions[agents]
+        self.parent[children] = parents
+        self.depth[children] = self.depth[parents] + 1
+        self.born_step[children] = step
+        self._n_regions[agents] += 1
+
+    def _tie(self, nodes: Tensor, left: Tensor, cut: Cut) -> None:
+        """Add the cuts of nodes `(F,)` to the bundles that led there, or to new ones."""
+        self._open_bundles(nodes[self._n_cuts[self._bundle[nodes]] == CUTS])
+        bundles = self._bundle[nodes]
+        numbers = self._n_cuts[bundles]
+        self._dimensions[bundles, numbers] = cut.dimension
+        self._values[bundles, numbers] = cut.value
+        self._n_cuts[bundles] += 1
+
+        ways = torch.arange(2**CUTS, device=nodes.device)
+        places = self._first_exit[bundles, None] + ways  # (F, 256)
+        exits = self._exits[places]
+        is_above = ways >> numbers[:, None] & 1
+        self._exits[places] = torch.where(exits == nodes[:, None], left[:, None] + is_above, exits)
+        for children in (left, left + 1):
+            self._bundle[children] = bundles
+            self._first_exit[children] = self._new_exits(children, 1)
+
+    def _open_bundles(self, nodes: Tensor) -> None:
+        self._bundle_level[nodes] = self._bundle_level[self._bundle[nodes]] + 1
+        self._first_exit[nodes] = self._new_exits(nodes, 2**CUTS)
+        self._bundle[nodes] = nodes
+        self._n_cuts[nodes] = 0
+        if len(nodes):
+            deepest = int(self._bundle_level[nodes].max())
+            self._n_bundle_levels = max(self._n_bundle_levels, deepest)
+
+    def _new_exits(self, nodes: Tensor, n_exits: int) -> Tensor:
+        """Return where `n_exits` exits of each node begin; they all lead to the node itself."""
+        firsts = self._n_exits + n_exits * torch.arange(len(nodes), device=nodes.device)
+        self._n_exits += n_exits * len(nodes)
+        self._exits = reserve(self._exits, self._n_exits, NONE)
+        self._exits[firsts[:, None] + torch.arange(n_exits, device=nodes.device)] = nodes[:, None]
+        return firsts
+
+    def leaves(self) -> Tensor:
+        """Return the nodes that are leaves, by agent, then region."""
+        nodes = self._in_order()
+        return nodes[self.split_step[nodes] == NONE]
+
+    def boxes(self, situation_dim: int) -> tuple[Tensor, Tensor]:
+        """Return the bounds of every node, low and high, each `(R, D)`, in the unit cube.
+
+        A situation is in the box if it is above low and at most high; at low 0, 0 belongs to it.
+        """
+        lows = torch.zeros(self.n_nodes, situation_dim, device=self.roots.device)
+        highs = torch.ones_like(lows)
+        for depth in range(1, int(self.depth.max()) + 1):
+            nodes = (self.depth[: self.n_nodes] == depth).nonzero()[:, 0]
+            parents = self.parent[nodes]
+            lows[nodes], highs[nodes] = lows[parents], highs[parents]
+            # Of two siblings, born one after the other, the second is the right one.
+            is_right = self.parent[nodes - 1] == parents
+            for bounds, side in ((lows, is_right), (highs, ~is_right)):
+                cut = parents[side]
+                bounds[nodes[side], self.cut_dimension[cut]] = self.cut_value[cut]
+        return lows, highs
+
+    def genealogy(self, counts: Tensor) -> Genealogy:
+        """Return every region ever made.
+
+        Args:
+            counts: Shape `(L,)`, how many examples each row holds.
+        """
+        nodes = self._in_order()
+        parents = self.parent[nodes]
+        is_leaf = self.split_step[nodes] == NONE
+        columns = Genealogy(
+            agent=self.agent[nodes],
+            region=self.region[nodes],
+            parent=torch.where(parents == NONE, NONE, self.region[parents]),
+            depth=self.depth[nodes],
+            born_step=self.born_step[nodes],
+            split_step=self.split_step[nodes],
+            cut_dimension=self.cut_dimension[nodes],
+            cut_value=self.cut_value[nodes],
+            n_examples=torch.where(is_leaf, counts[self.rows[nodes]], self.split_count[nodes]),
+        )
+        return Genealogy(**{name: column.cpu() for name, column in vars(columns).items()})
+
+    def _in_order(self) -> Tensor:
+        # Nodes are in order of birth: a stable sort by agent keeps each agent's regions in order.
+        return self.agent[: self.n_nodes].sort(stable=True).indices
+
+    def _reserve(self) -> None:
+        for name, fill in _NODE_COLUMNS.items():
+            setattr(self, name, reserve(getattr(self, name), self.n_nodes, fill))
+
+
+_NODE_COLUMNS = {
+    "agent": 0,
+    "rows": 0,
+    "region": 0,
+    "parent": NONE,
+    "depth": 0,
+    "born_step": 0,
+    "split_step": NONE,
+    "split_count": 0,
+    "cut_dimension": NONE,
+    "cut_value": math.nan,
+    "_bundle": NONE,
+    "_bundle_level": 0,
+    "_n_cuts": CUTS,
+    "_dimensions": 0,
+    "_values": math.inf,
+    "_first_exit": 0,
+}
+
+
+def _as_number(bits: Tensor) -> Tensor:
+    """Return the numbers whose eight binary digits are `bits`, bool, shape `(n, 8)`; `(n,)`.
+
+    The multiplication moves the eight bytes of 0 or 1 side by side into the highest byte.
+    """
+    return (bits.view(torch.int64)[:, 0] * 0x0102040810204080 >> 56) & 0xFF
+
+
+def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:
+    """Return, for each full region, the cut that leaves the least outcome variance (C2).
+
+    Of all dimensions and all cuts midway between two consecutive distinct values, the one with the
+    least sum of both sides' squared deviations of the outcome from its mean, summed over outcome
+    dimensions. Ties go to the lower dimension, then to the lower cut.
+
+    Args:
+        situations: Shape `(F, N, D)`, in the unit cube.
+        outcomes: Shape `(F, N, K)`, in scaled units.
+        balance: Smallest share of the examples that a child may keep, in [0, 0.5].
+
+    Raises:
+        ValueError: `balance` is outside [0, 0.5].
+
+    Source: Oudeyer and Kaplan (2004), section 2.1, criterion C2.
+    """
+    if not 0 <= balance <= 0.5:
+        raise ValueError(f"balance must lie in [0, 0.5], got {balance}")
+    sorted_values, order = situations.sort(dim=1)  # (F, N, D)
+    gains = _gains(order, outcomes)
+    n_left = torch.arange(1, situations.shape[1], device=situations.device)[:, None]
+    smaller = torch.minimum(n_left, situations.shape[1] - n_left).double()
+    admissible = sorted_values[:, :-1] < sorted_values[:, 1:]
+    admissible &= smaller / situations.shape[1] >= balance
+    gains = gains.masked_fill_(~admissible, -math.inf).transpose(1, 2).flatten(1)  # (F, D * (N-1))
+    best = gains.amax(dim=1, keepdim=True)
+    first_tied = (gains >= best * (1 - TIE)).to(torch.int8).argmax(dim=1)
+    dimension = first_tied // (situations.shape[1] - 1)
+    index = (first_tied % (situations.shape[1] - 1))[:, None]
+    values = sorted_values.gather(2, dimension[:, None, None].expand(-1, situations.shape[1], 1))
+    values = values.squeeze(-1)
+    value = (values.gather(1, index) + values.gather(1, index + 1)) / 2
+    return Cut(best.squeeze(1) > -math.inf, dimension, value.squeeze(1))
+
+
+def _gains(order: Tensor, outcomes: Tensor) -> Tensor:
+    """Return by how much each cut lowers the sum of squared deviations, shape `(F, N-1, D)`.
+
+    With `S` the sum of a side's outcomes and `n` its size, the decrease is
+    (n_right S_left - n_left S_right)^2 / (n n_left n_right), which needs no sum of squares. In
+    steps of `UNIT_STEP` the outcomes are whole numbers, so the bracket is exact and cuts that
+    part the examples alike have bit for bit the same gain. The constant 1 / n is left out.
+    """
+    n_examples = outcomes.shape[1]
+    whole = (outcomes.double() / UNIT_STEP).round()
+    n_left = torch.arange(1, n_examples, device=outcomes.device, dtype=torch.float64)[:, None]
+    n_right = n_examples - n_left
+    gains = torch.zeros((), dtype=torch.float64, device=outcomes.device)
+    for k in range(outcomes.shape[2]):
+        column = whole[:, :, k, None].expand(order.shape)
+        sums = column.gather(1, order).cumsum(dim=1)  # (F, N, D)
+        left, total = sums[:, :-1], sums[:, -1:]
+        gains = gains + (n_right * left - n_left * (total - left)).square()
+    return gains / (n_left * n_right)

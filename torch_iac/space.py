@@ -1,0 +1,185 @@
+"""The sensorimotor space: what a robot can do, sense and predict, and in which bounds.
+
+Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dimensions,
+`K` outcome dimensions, `N` examples that a region can hold.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+import gymnasium as gym
+import numpy as np
+import torch
+from torch import Tensor
+
+UNIT_STEP = 2.0**-23
+"""Scaled values are multiples of this. So every one of them, every midpoint of two of them and
+every difference is exact in float32, and sums are exact in float64, in whatever order."""
+
+OUTSIDE_TOLERANCE = 1e-3
+"""How far outside its bounds a sensor may read, as a share of its range; then it is clipped."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One wire of the robot: its name and its bounds in raw units.
+
+    Raises:
+        ValueError: The bounds are not finite or not in order.
+    """
+
+    name: str
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(
+                f"the bounds of {self.name} must be finite and in order, "
+                f"got [{self.low}, {self.high}]"
+            )
+
+
+class Scale:
+    """Raw units to the unit interval and back, for a row of dimensions.
+
+    Args:
+        dimensions: The row.
+        device: Where values will be scaled.
+    """
+
+    def __init__(self, dimensions: Sequence[Dimension], device: torch.device) -> None:
+        bounds = torch.tensor([(d.low, d.high) for d in dimensions], dtype=torch.float64)
+        low, high = bounds.unbind(1)
+        span, slack = high - low, OUTSIDE_TOLERANCE * (high - low)
+        self._low = low.to(device, torch.float32)
+        self._span = span.to(device, torch.float32)
+        self._unit_step = (span * UNIT_STEP).to(device, torch.float32)
+        self._least = (low - slack).to(device, torch.float32)
+        self._most = (high + slack).to(device, torch.float32)
+
+    def to_unit(self, raw: Tensor) -> Tensor:
+        """Return raw values `(..., n)` scaled to [0, 1], clipped, in multiples of `UNIT_STEP`."""
+        steps = ((raw - self._low) / self._unit_step).clamp_(0.0, 1 / UNIT_STEP)
+        return steps.round_().mul_(UNIT_STEP)
+
+    def to_raw(self, unit: Tensor) -> Tensor:
+        """Return scaled values `(..., n)` in raw units."""
+        return self._low + unit * self._span
+
+    def outside(self, raw: Tensor) -> Tensor:
+        """Return which values `(..., n)` are NaN or outside their bounds, rounding forgiven."""
+        return ~((raw >= self._least) & (raw <= self._most))
+
+
+@dataclass(frozen=True)
+class SensorimotorSpace:
+    """What the robot does (actions), senses (sensors) and predicts (outcomes).
+
+    A *situation* is the action followed by the sensors, scaled to the unit cube. An *outcome* is
+    what some of the sensors will read after the action.
+
+    Attributes:
+        actions: The action dimensions, in the order of the world's action vector.
+        sensors: The sensor dimensions, in the order of the world's observation vector.
+        outcomes: The sensors to be predicted.
+
+    Raises:
+        ValueError: No actions, no outcomes, a name given twice or an outcome that is no sensor.
+    """
+
+    actions: tuple[Dimension, ...]
+    sensors: tuple[Dimension, ...]
+    outcomes: tuple[Dimension, ...]
+
+    def __post_init__(self) -> None:
+        for kind in ("actions", "outcomes"):
+            if not getattr(self, kind):
+                raise ValueError(f"{kind} must name at least one dimension, got none")
+        for kind in ("actions", "sensors", "outcomes"):
+            names = [dimension.name for dimension in getattr(self, kind)]
+            if len(set(names)) < len(names):
+                raise ValueError(f"{kind} must have different names, got {names}")
+        for outcome in self.outcomes:
+            if outcome not in self.sensors:
+                raise ValueError(_no_such_sensor(outcome.name, self.sensors))
+
+    @classmethod
+    def from_env(
+        cls,
+        env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any],
+        outcomes: Sequence[str] | Literal["all"] = "all",
+    ) -> Self:
+        """Return the space of a Gymnasium world whose actions and observations are boxes.
+
+        Names come from the world's `metadata["action_names"]` and `metadata["sensor_names"]`;
+        without them they are `0`, `1`, ...
+
+        Args:
+            env: A world, or a vector of worlds.
+            outcomes: The names of the sensors to predict, or "all".
+
+        Raises:
+            ValueError: A space is not a bounded, flat box, or an outcome is no sensor.
+        """
+        actions = _dimensions(env, "action")
+        sensors = _dimensions(env, "observation")
+        if outcomes == "all":
+            return cls(actions, sensors, sensors)
+        by_name = {dimension.name: dimension for dimension in sensors}
+        unknown = [name for name in outcomes if name not in by_name]
+        if unknown:
+            raise ValueError(_no_such_sensor(unknown[0], sensors))
+        return cls(actions, sensors, tuple(by_name[name] for name in outcomes))
+
+    @property
+    def situation(self) -> tuple[Dimension, ...]:
+        """The dimensions of a situation: the actions, then the sensors."""
+        return self.actions + self.sensors
+
+    @property
+    def situation_names(self) -> tuple[str, ...]:
+        """The names of the situation's dimensions."""
+        return tuple(dimension.name for dimension in self.situation)
+
+    @property
+    def outcome_columns(self) -> tuple[int, ...]:
+        """Where in the sensors each outcome stands."""
+        return tuple(self.sensors.index(outcome) for outcome in self.outcomes)
+
+    def to_json(self) -> dict[str, dict[str, list[float]]]:
+        """Return each name with its bounds, under `actions`, `sensors` and `outcomes`."""
+        return {
+            kind: {d.name: [d.low, d.high] for d in getattr(self, kind)}
+            for kind in ("actions", "sensors", "outcomes")
+        }
+
+    @classmethod
+    def from_json(cls, bounds: Mapping[str, Mapping[str, Sequence[float]]]) -> Self:
+        """Return the space that `to_json` wrote."""
+        return cls(
+            *(
+                tuple(Dimension(name, low, high) for name, (low, high) in bounds[kind].items())
+                for kind in ("actions", "sensors", "outcomes")
+            )
+        )
+
+
+def _dimensions(
+    env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any], kind: str
+) -> tuple[Dimension, ...]:
+    box = getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
+    if not isinstance(box, gym.spaces.Box) or len(box.shape) != 1:
+        raise ValueError(f"the {kind} space must be a flat Box, got {box}")
+    names = env.metadata.get("action_names" if kind == "action" else "sensor_names")
+    names = names or [str(i) for i in range(box.shape[0])]
+    if not np.isfinite(box.low).all() or not np.isfinite(box.high).all():
+        raise ValueError(f"the {kind} space must have finite bounds, got {box}")
+    bounds = zip(names, box.low.tolist(), box.high.tolist(), strict=True)
+    return tuple(Dimension(name, low, high) for name, low, high in bounds)
+
+
+def _no_such_sensor(name: str, sensors: Sequence[Dimension]) -> str:
+    return f"outcomes must be sensors ({', '.join(d.name for d in sensors)}), got {name}"
