@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.oracle import Robot
+from tests.agreement import check_step, oracle_of, scaled
 from torch_iac import IAC, PRESETS, Dimension, IACConfig, KNNExperts, SensorimotorSpace, Step
 from torch_iac.drives import Random
 
@@ -57,45 +57,16 @@ def live(agent: IAC, n_decisions: int) -> list[Step]:
 def test_every_decision_is_the_oracles(
     space: SensorimotorSpace, config: IACConfig, seed: int
 ) -> None:
-    assert isinstance(config.experts, KNNExperts)
-    robot = Robot(
-        max_examples=config.max_examples,
-        balance=config.balance,
-        window=config.window,
-        delay=config.delay,
-        k=config.experts.k,
-        squared=config.error == "squared",
-        inherit_history=config.inherit_history,
-    )
+    robot = oracle_of(config)
     agent = IAC(space, config, seeds=[seed])
     for step in live(agent, 600):
         check_step(space, robot, step)
     assert robot.n_regions > 20
 
 
-def check_step(space: SensorimotorSpace, robot: Robot, step: Step) -> None:
-    """Let the oracle live through a decision that the engine took, and compare."""
-    situation = scaled(space.actions, step.actions) + scaled(space.sensors, step.sensors)
-    outcome = scaled(space.outcomes, step.outcomes)
-    region, prediction, error, progress = robot.observe(situation, outcome)
-    assert step.regions.item() == region
-    assert scaled(space.outcomes, step.predictions) == pytest.approx(prediction, abs=1e-6)
-    assert step.errors.item() == pytest.approx(error, abs=1e-6)
-    assert step.progress.item() == pytest.approx(progress, abs=1e-6)
-
-
-def scaled(dimensions: tuple[Dimension, ...], raw: torch.Tensor) -> list[float]:
-    """Scale one row of raw values to the unit interval, in plain numbers."""
-    pairs = zip(dimensions, raw[0].tolist(), strict=True)
-    grid = 2**23
-    return [
-        round(min(max((value - d.low) / (d.high - d.low), 0), 1) * grid) / grid
-        for d, value in pairs
-    ]
-
-
 def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
-    agent, robot = IAC(space, replace(SMALL, epsilon=0.0), seeds=[5]), Robot(20, 0.15, 8, 8)
+    config = replace(SMALL, epsilon=0.0)
+    agent, robot = IAC(space, config, seeds=[5]), oracle_of(config)
     world = Pendulum([5])
     sensors = world.reset()
     for number in range(400):

@@ -191,6 +191,7 @@ class IAC:
         self._sensor_scale = Scale(space.sensors, self.device)
         self._outcome_scale = Scale(space.outcomes, self.device)
         self._outcome_columns = torch.tensor(space.outcome_columns, device=self.device)
+        self._first_candidates = torch.arange(n_agents, device=self.device) * config.n_candidates
         self._decision: _Decision | None = None
 
     @property
@@ -218,12 +219,10 @@ class IAC:
         # Candidates are drawn independently, so the first is a random action,
         # and the first of the best is a random one of them.
         random = numbers[:, 0] < self.config.epsilon
-        chosen = worth.argmax(dim=1).masked_fill_(random, 0)[:, None]
-        situations = candidates.situations.gather(
-            1, chosen[..., None].expand(-1, 1, candidates.situations.shape[2])
-        )[:, 0]
+        chosen = worth.argmax(dim=1).masked_fill_(random, 0).add_(self._first_candidates)
+        situations = candidates.situations.flatten(0, 1).index_select(0, chosen)
         actions = self._action_scale.to_raw(situations[:, : len(self.space.actions)])
-        nodes = nodes.gather(1, chosen)[:, 0]
+        nodes = nodes.take(chosen)
         self._decision = _Decision(readings, actions, situations, nodes, random)
         return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
 
@@ -244,7 +243,7 @@ class IAC:
         readings = self._checked(sensors)
         raw_outcomes = readings.index_select(1, self._outcome_columns)
         outcomes = self._outcome_scale.to_unit(raw_outcomes)
-        rows = self.tree.rows[decision.nodes]
+        rows = self.tree.rows.take(decision.nodes)
         predictions = self.config.experts.predict(self.examples, rows, decision.situations)
         errors = self._errors(predictions, outcomes)
         step = Step(
@@ -255,8 +254,8 @@ class IAC:
             predictions=self._outcome_scale.to_raw(predictions),
             errors=errors,
             expected_errors=None,
-            regions=self.tree.region[decision.nodes],
-            progress=self.history.progress[rows],
+            regions=self.tree.region.take(decision.nodes),
+            progress=self.history.progress.take(rows),
             random_actions=decision.random,
         )
         self._learn(rows, decision, outcomes, errors)
@@ -294,9 +293,8 @@ class IAC:
         given = torch.from_numpy(sensors) if isinstance(sensors, np.ndarray) else sensors
         # A copy, since worlds reuse their buffers.
         readings = given.to(self.device, torch.float32, copy=True)
-        outside = self._sensor_scale.outside(readings)
-        if outside.any():
-            agent, column = outside.nonzero()[0].tolist()
+        if not self._sensor_scale.contains(readings):
+            agent, column = self._sensor_scale.outside(readings).nonzero()[0].tolist()
             raise ValueError(_outside(self.space.sensors[column], agent, readings[agent, column]))
         return readings
 
@@ -305,18 +303,18 @@ class IAC:
         context = self._sensor_scale.to_unit(readings)[:, None]
         situations = torch.cat([actions, context.expand(-1, self.config.n_candidates, -1)], dim=2)
         nodes = self.tree.route(situations)
-        return Candidates(situations, self.tree.rows[nodes]), nodes
+        return Candidates(situations, self.tree.rows.take(nodes)), nodes
 
     def _errors(self, predictions: Tensor, outcomes: Tensor) -> Tensor:
-        difference = predictions.double() - outcomes
-        size = difference.abs() if self.config.error == "absolute" else difference.square()
+        difference = (predictions - outcomes).double()
+        size = difference.abs_() if self.config.error == "absolute" else difference.square_()
         return size.mean(dim=1)
 
     def _learn(self, rows: Tensor, decision: _Decision, outcomes: Tensor, errors: Tensor) -> None:
         self.history.add(rows, errors)
         counts = self.examples.add(rows, decision.situations, outcomes)
-        full = (counts > self.config.max_examples).nonzero()[:, 0]
-        if len(full):
+        if counts.max().item() > self.config.max_examples:  # C1
+            full = (counts > self.config.max_examples).nonzero()[:, 0]
             self._split(decision.nodes[full], rows[full])
 
     def _split(self, nodes: Tensor, rows: Tensor) -> None:
@@ -343,7 +341,9 @@ class IAC:
 
 def _available(device: torch.device | str) -> torch.device:
     try:
-        return torch.empty(0, device=device).device
+        probe = torch.zeros(1, device=device)
+        probe.item()  # a device without memory, such as "meta", has no answer
+        return probe.device
     except (RuntimeError, AssertionError):
         raise ValueError(f"device must be one that this machine has, got {device}") from None
 

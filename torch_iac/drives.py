@@ -40,7 +40,7 @@ class Progress:
 
     def worth(self, candidates: Candidates, history: ErrorHistory) -> Tensor:
         """Return what each candidate is worth, shape `(A, C)`."""
-        return history.progress[candidates.rows]
+        return history.progress.take(candidates.rows)
 
 
 @dataclass(frozen=True)

@@ -48,11 +48,11 @@ class Examples:
             situations: Shape `(A, D)`.
             outcomes: Shape `(A, K)`.
         """
-        counts = self.counts[rows]
+        counts = self.counts.take(rows)
         self.situations[rows, :, counts] = situations
         self.outcomes[rows, :, counts] = outcomes
         counts += 1
-        self.counts[rows] = counts
+        self.counts.index_copy_(0, rows, counts)
         return counts
 
     def reserve(self, n_rows: int) -> None:

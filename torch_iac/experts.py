@@ -44,11 +44,9 @@ class KNNExperts:
         """Return the predicted outcomes, shape `(A, K)`, in scaled units."""
         offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
         distances = offsets.square_().sum(dim=1)  # (A, N), squared
-        outcomes = examples.outcomes.index_select(0, rows)  # (A, K, N)
         if self.k == 1:
-            nearest = distances.argmin(dim=1)
-            nearest = nearest[:, None, None].expand(-1, outcomes.shape[1], 1)
-            return outcomes.gather(2, nearest).squeeze(2)
+            return examples.outcomes[rows, :, distances.argmin(dim=1)]
+        outcomes = examples.outcomes.index_select(0, rows)  # (A, K, N)
         nearest = distances.sort(dim=1, stable=True).indices[:, : self.k]
         is_example = distances.gather(1, nearest).isfinite()[:, None]
         neighbours = outcomes.gather(2, nearest[:, None].expand(-1, outcomes.shape[1], -1))

@@ -37,7 +37,7 @@ class ErrorHistory:
         self._counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
         self.progress = torch.zeros(n_rows, dtype=torch.float64, device=device)
         # Where the sums stand, relative to the newest, that the two means will be made of.
-        self._marks = torch.tensor([0, 1 - window, 1 - delay, 1 - delay - window], device=device)
+        self._marks = torch.tensor([1, 0, 1 - window, 1 - delay, 1 - delay - window], device=device)
 
     def add(self, rows: Tensor, errors: Tensor) -> None:
         """Take in one error for each of some different rows and renew their progress.
@@ -48,13 +48,14 @@ class ErrorHistory:
         """
         counts = self._counts.take(rows)
         places = (counts[:, None] + self._marks) % self._size
-        newest, window_ago, delay_ago, both_ago = self._sums[rows[:, None], places].unbind(1)
-        newest = newest + errors
+        _, last, window_ago, delay_ago, both_ago = self._sums[rows[:, None], places].unbind(1)
+        newest = last + errors
+        self._sums[rows, places[:, 0]] = newest
         counts += 1
-        self._counts[rows] = counts
-        self._sums[rows, counts % self._size] = newest
-        progress = ((delay_ago - both_ago) - (newest - window_ago)).div_(self.window)
-        self.progress[rows] = progress.mul_(counts >= self.delay + self.window)
+        self._counts.index_copy_(0, rows, counts)
+        progress = (delay_ago - both_ago).sub_(newest).add_(window_ago).div_(self.window)
+        progress.mul_(counts >= self.delay + self.window)
+        self.progress.index_copy_(0, rows, progress)
 
     def mean_error(self, rows: Tensor) -> Tensor:
         """Return the mean of the last `window` errors of rows, or of all if they are fewer.

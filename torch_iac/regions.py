@@ -17,8 +17,11 @@ from torch_iac.table import reserve
 NONE = -1
 """Stands for no parent, no split yet, no cut."""
 
-CUTS = 8
-"""How many cuts a bundle holds: as many as a 64-bit word has bytes."""
+CUTS = 7
+"""How many cuts a bundle holds."""
+
+BYTES = 8
+"""How many comparisons a bundle makes: as many as a 64-bit word has bytes; the last is idle."""
 
 TIE = 1e-12
 """Two cuts whose gains differ by less, relatively, are tied: rounding must not decide."""
@@ -69,9 +72,9 @@ class Genealogy:
 class RegionTree:
     """The region trees of a population; each agent starts with one region, the whole cube.
 
-    Routing compares a situation with eight cuts at once. Neighbouring cuts of a tree are tied into
-    *bundles*, each known by the node at its top: a table says, for each of the 256 ways in which a
-    situation may lie to the eight cuts, at which node it leaves the bundle. A leaf is a bundle
+    Routing compares a situation with seven cuts at once. Neighbouring cuts of a tree are tied into
+    *bundles*, each known by the node at its top: a table says, for each of the 128 ways in which a
+    situation may lie to the seven cuts, at which node it leaves the bundle. A leaf is a bundle
     without cuts that leads to itself.
 
     Attributes:
@@ -106,8 +109,8 @@ class RegionTree:
         self._bundle = self.roots.clone()  # the bundle that a leaf is an exit of
         self._bundle_level = column(0)
         self._n_cuts = column(CUTS)  # of a bundle; a leaf is none yet, so it has no room
-        self._dimensions = column(0, width=CUTS)
-        self._values = column(math.inf, torch.float32, CUTS)  # nothing lies above
+        self._dimensions = column(0, width=BYTES)
+        self._values = column(math.inf, torch.float32, BYTES)  # nothing lies above
         self._first_exit = self.roots.clone()
         self._exits = self.roots.clone()
 
@@ -121,11 +124,11 @@ class RegionTree:
             Shape `(A, C)`.
         """
         n_agents, n_candidates, situation_dim = situations.shape
-        starts = torch.arange(0, situations.numel(), situation_dim, device=situations.device)
+        points = situations.reshape(-1, situation_dim)
         nodes = self.roots.repeat_interleave(n_candidates)
         for _ in range(self._n_bundle_levels):
-            places = self._dimensions.index_select(0, nodes).add_(starts[:, None])
-            above = situations.take(places) > self._values.index_select(0, nodes)
+            coordinates = points.gather(1, self._dimensions.index_select(0, nodes))
+            above = coordinates > self._values.index_select(0, nodes)
             nodes = self._exits.take(self._first_exit.take(nodes).add_(_as_number(above)))
         return nodes.view(n_agents, n_candidates)
 
@@ -178,7 +181,7 @@ class RegionTree:
         self._n_cuts[bundles] += 1
 
         ways = torch.arange(2**CUTS, device=nodes.device)
-        places = self._first_exit[bundles, None] + ways  # (F, 256)
+        places = self._first_exit[bundles, None] + ways  # (F, 128)
         exits = self._exits[places]
         is_above = ways >> numbers[:, None] & 1
         self._exits[places] = torch.where(exits == nodes[:, None], left[:, None] + is_above, exits)
@@ -278,11 +281,12 @@ _NODE_COLUMNS = {
 
 
 def _as_number(bits: Tensor) -> Tensor:
-    """Return the numbers whose eight binary digits are `bits`, bool, shape `(n, 8)`; `(n,)`.
+    """Return the numbers `(n,)` whose binary digits are `bits`, bool, shape `(n, 8)`, lowest first.
 
-    The multiplication moves the eight bytes of 0 or 1 side by side into the highest byte.
+    The multiplication moves the eight bytes of 0 or 1 side by side into the highest byte. Its own
+    highest digit, which would be the sign, is always 0.
     """
-    return (bits.view(torch.int64)[:, 0] * 0x0102040810204080 >> 56) & 0xFF
+    return bits.view(torch.int64).view(-1) * 0x0102040810204080 >> 56
 
 
 def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:

@@ -56,21 +56,26 @@ class Scale:
         span, slack = high - low, OUTSIDE_TOLERANCE * (high - low)
         self._low = low.to(device, torch.float32)
         self._span = span.to(device, torch.float32)
-        self._unit_step = (span * UNIT_STEP).to(device, torch.float32)
+        self._steps = (1 / UNIT_STEP / span).to(device, torch.float32)  # in one raw unit
+        self._first_step = (-low / UNIT_STEP / span).to(device, torch.float32)
         self._least = (low - slack).to(device, torch.float32)
         self._most = (high + slack).to(device, torch.float32)
 
     def to_unit(self, raw: Tensor) -> Tensor:
         """Return raw values `(..., n)` scaled to [0, 1], clipped, in multiples of `UNIT_STEP`."""
-        steps = ((raw - self._low) / self._unit_step).clamp_(0.0, 1 / UNIT_STEP)
-        return steps.round_().mul_(UNIT_STEP)
+        steps = torch.addcmul(self._first_step, raw, self._steps)
+        return steps.clamp_(0.0, 1 / UNIT_STEP).round_().mul_(UNIT_STEP)
 
     def to_raw(self, unit: Tensor) -> Tensor:
         """Return scaled values `(..., n)` in raw units."""
-        return self._low + unit * self._span
+        return torch.addcmul(self._low, unit, self._span)
+
+    def contains(self, raw: Tensor) -> bool:
+        """Return whether all values `(..., n)` are numbers in their bounds, rounding forgiven."""
+        return torch.equal(raw.clamp(self._least, self._most), raw)
 
     def outside(self, raw: Tensor) -> Tensor:
-        """Return which values `(..., n)` are NaN or outside their bounds, rounding forgiven."""
+        """Return which values `(..., n)` `contains` objects to."""
         return ~((raw >= self._least) & (raw <= self._most))
 
 

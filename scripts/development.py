@@ -1,0 +1,89 @@
+"""Do robots develop as the paper says? Many seeds of the main job, on the real world.
+
+    python scripts/development.py --seeds 20 --out runs/development
+
+prints, for each seed and in all, what the issue is: where the first cut was, when the robot focused
+on f3 and on f2, and how much time it lost in f1. Finished runs in the folder are not run again.
+"""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import torch
+import torch_iac_envs  # noqa: F401 - registers the worlds
+import tyro
+
+import torch_iac as iac
+from torch_iac.recording import Recorder
+from torch_iac.runs import load_run
+from torch_iac.training import train
+
+WORLD = "torch_iac_envs/ToyRoom-v0"
+
+
+@dataclass(frozen=True)
+class Study:
+    """How many robots develop for how long."""
+
+    seeds: int = 20
+    """How many robots, with the seeds 0, 1, ..."""
+    steps: int = 10_000
+    """How many decisions each takes."""
+    out: Path = Path("runs/development")
+    """Where the run folders go."""
+    processes: int = 2
+    """How many robots develop at once."""
+
+
+def develop(folder: Path, seed: int, steps: int) -> None:
+    """Let one robot develop and keep its run."""
+    if (folder / "summary.json").exists():
+        return
+    torch.set_num_threads(1)
+    env = gym.make_vec(WORLD, num_envs=1)
+    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+    agent = iac.IAC(space, seeds=[seed])
+    with Recorder(folder, agent, env.metadata["zone_names"]) as recorder:
+        train(agent, env, steps, recorder)
+    env.close()
+
+
+def main(study: Study) -> None:
+    """Run what is not there yet, then print the table."""
+    folders = [study.out / f"seed-{seed:03d}" for seed in range(study.seeds)]
+    with ProcessPoolExecutor(study.processes) as pool:
+        jobs = [pool.submit(develop, f, s, study.steps) for s, f in enumerate(folders)]
+        for job in jobs:
+            job.result()
+    robots = [load_run(folder).summary["agents"][0] for folder in folders]
+
+    print("| seed | first cut | focus on f3 | focus on f2 | f1 after 1,000 | f2 after 1,000 |")
+    print("|---|---|---|---|---|---|")
+    for seed, robot in enumerate(robots):
+        cut, focus, shares = robot["first_cut"], robot["focus"], robot["settled_zone_shares"]
+        print(
+            f"| {seed} | {cut['dimension']} at {cut['value']:.2f} | {focus['f3']} | {focus['f2']} "
+            f"| {shares['f1']:.1%} | {shares['f2']:.1%} |"
+        )
+    on_sound = sum(robot["first_cut"]["dimension"] == "sound" for robot in robots)
+    in_order = sum(came_first(robot["focus"]["f3"], robot["focus"]["f2"]) for robot in robots)
+    f1 = np.array([robot["settled_zone_shares"]["f1"] for robot in robots])
+    print(f"\nFirst cut on the sound: {on_sound} of {study.seeds}.")
+    print(f"Focus on f3 before focus on f2: {in_order} of {study.seeds}.")
+    print(
+        f"Time in f1 after the first 1,000 decisions: mean {f1.mean():.1%}, "
+        f"median {np.median(f1):.1%}, range {f1.min():.1%} to {f1.max():.1%}; "
+        f"at most 10 % in {(f1 <= 0.1).sum()} of {study.seeds}."
+    )
+
+
+def came_first(first: float | None, second: float | None) -> bool:
+    """Return whether both came, the first one before the second."""
+    return first is not None and second is not None and first < second
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))
