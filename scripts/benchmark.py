@@ -9,7 +9,7 @@ decisions, with the same examples. A table in Markdown gives the median and the 
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +18,10 @@ from random import random
 import gymnasium as gym
 import numpy as np
 import torch
-import torch_iac_envs  # noqa: F401 - registers the worlds
 import tyro
 
 import torch_iac as iac
+import torch_iac_envs  # noqa: F401 - registers the worlds
 from tests.agreement import oracle_of, scaled
 from tests.oracle import Robot
 

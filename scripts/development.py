@@ -13,10 +13,10 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import torch
-import torch_iac_envs  # noqa: F401 - registers the worlds
 import tyro
 
 import torch_iac as iac
+import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.recording import Recorder
 from torch_iac.runs import load_run
 from torch_iac.training import train

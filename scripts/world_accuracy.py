@@ -109,4 +109,4 @@ def main(study: Study) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Study))
+    main(tyro.cli(Study, description=__doc__))

@@ -4,9 +4,11 @@ No engine is needed: full regions are cut along the sound as long as they hear s
 along the left wheel after that; errors follow a formula.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,11 +48,12 @@ def write_run(
     zone_names: tuple[str, ...] | None = ZONES,
     rows_per_part: int = 1000,
     log_every: int = 100,
+    config: Mapping[str, Any] | None = None,
 ) -> Path:
     """Record a made-up run and return its folder."""
     population = SyntheticPopulation(n_agents, n_decisions)
     with Recorder(
-        folder, population, zone_names, log_every=log_every, rows_per_part=rows_per_part
+        folder, population, zone_names, config, log_every=log_every, rows_per_part=rows_per_part
     ) as recorder:
         for _ in range(n_decisions):
             step, zones = population.decide()

@@ -72,7 +72,7 @@ def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
     for number in range(400):
         raw = agent.act(sensors)
         context = scaled(space.sensors, torch.as_tensor(sensors))
-        actions = agent._choices.at(number)[0, 1:].view(5, 2).tolist()
+        actions = agent._choices.at(number)[0, 2:].view(5, 2).tolist()
         candidates = [action + context for action in actions]
         chosen = candidates[robot.choose(candidates)]
         assert scaled(space.actions, torch.as_tensor(raw)) == pytest.approx(chosen[:2], abs=1e-6)

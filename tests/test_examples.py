@@ -3,8 +3,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from torch_iac.examples import NO_EXAMPLE_OUTCOME, Examples
+from torch_iac.regions import Split
 
 CPU = torch.device("cpu")
+
+
+def root_split() -> Split:
+    """The split of the only region there is."""
+    zero, one = torch.tensor([0]), torch.tensor([1])
+    return Split(rows=zero, new_rows=one, agents=zero, left_regions=one, n_rows=2)
 
 
 def filled(n_examples: int, max_examples: int) -> Examples:
@@ -34,8 +41,7 @@ def test_examples_are_kept_oldest_first() -> None:
 @given(st.lists(st.booleans(), min_size=6, max_size=6))
 def test_a_split_parts_the_examples_and_keeps_their_order(goes_right: list[bool]) -> None:
     examples = filled(6, 5)
-    examples.reserve(2)
-    examples.split(torch.tensor([0]), torch.tensor([1]), torch.tensor([goes_right]))
+    examples.split(root_split(), torch.tensor([goes_right]))
     assert held(examples, 0) == [i for i in range(6) if not goes_right[i]]
     assert held(examples, 1) == [i for i in range(6) if goes_right[i]]
 
@@ -46,13 +52,3 @@ def test_forgetting_drops_the_oldest() -> None:
     assert held(examples, 0) == [1, 2, 3, 4, 5]
     examples.add(torch.tensor([0]), torch.tensor([[6.0, -6.0]]), torch.tensor([[60.0]]))
     assert held(examples, 0) == [1, 2, 3, 4, 5, 6]
-
-
-def test_room_is_made_by_doubling() -> None:
-    examples = filled(2, 5)
-    examples.reserve(2)
-    assert len(examples.counts) == 2
-    examples.reserve(3)
-    assert len(examples.counts) == 4
-    assert held(examples, 0) == [0, 1]
-    assert held(examples, 3) == []

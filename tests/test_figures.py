@@ -48,6 +48,12 @@ def test_the_root_hears_every_zone_and_has_the_colour_of_none(run: Run) -> None:
     assert colours_of(lines)[0] == figures.MIXED_COLOUR
 
 
+def test_the_figure_says_over_how_many_errors_the_run_took_its_means(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=30, config={"iac": {"window": 26}})
+    figure = draw_experts(load_run(folder))
+    assert figure.axes[0].get_ylabel() == "Mean of last 26 errors (scaled)"
+
+
 def test_without_zones_experts_are_coloured_by_depth(tmp_path: Path) -> None:
     figure = draw_experts(load_run(write_run(tmp_path, n_decisions=700, zone_names=None)))
     assert labels(figure)[:2] == ["depth 0", "depth 1"]

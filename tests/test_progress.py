@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from torch_iac.progress import ErrorHistory
+from torch_iac.regions import Split
 
 CPU = torch.device("cpu")
 ROW = torch.tensor([0])
@@ -56,13 +57,27 @@ def test_progress_is_its_definition(errors: list[float], window: int, delay: int
     assert history.mean_error(ROW).item() == pytest.approx(mean, abs=1e-12, nan_ok=True)
 
 
-def test_children_inherit_or_start_anew() -> None:
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=40), st.integers(1, 9), st.integers(1, 9))
+def test_imagined_errors_make_the_progress_of_real_ones_and_leave_no_trace(
+    errors: list[float], window: int, delay: int
+) -> None:
+    history, _ = follow(errors[:-1], window, delay)
+    last = torch.tensor([[errors[-1], 0.5]], dtype=torch.float64)
+    imagined = history.progress_after(torch.zeros(1, 2, dtype=torch.int64), last)
+    history.add(ROW, last[:, 0])
+    assert history.progress.item() == imagined[0, 0].item()
+
+
+@pytest.mark.parametrize("inherit", [True, False])
+def test_children_inherit_or_start_anew(inherit: bool) -> None:
     history, progress = follow([1 - i / 64 for i in range(20)], 4, 4)
-    history.reserve(2)
-    history.inherit(ROW, torch.tensor([1]))
+    split = Split(ROW, torch.tensor([1]), ROW, torch.tensor([1]), n_rows=2)
+    history.split(split, inherit)
+    both = torch.tensor([0, 1])
+    if not inherit:
+        assert history.progress.tolist() == [0.0, 0.0]
+        assert history.mean_error(both).isnan().all()
+        return
     assert history.progress.tolist() == [progress[-1]] * 2
-    history.add(torch.tensor([0, 1]), torch.tensor([0.0, 1.0], dtype=torch.float64))
+    history.add(both, torch.tensor([0.0, 1.0], dtype=torch.float64))
     assert history.progress[0] > progress[-1] > history.progress[1]
-    history.forget(torch.tensor([1]))
-    assert history.progress[1] == 0
-    assert history.mean_error(torch.tensor([1])).isnan()

@@ -10,10 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
-from torch_iac import recording
 from torch_iac.recording import Recorder, region_table, write_config
 
 COLUMNS = [
@@ -37,12 +35,6 @@ COLUMNS = [
 
 def parts(folder: Path) -> list[Path]:
     return sorted((folder / "steps").iterdir())
-
-
-def events(folder: Path) -> EventAccumulator:
-    accumulator = EventAccumulator(str(folder))
-    accumulator.Reload()
-    return accumulator
 
 
 def test_every_decision_of_every_agent_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -173,6 +165,16 @@ def test_a_folder_that_holds_a_run_is_refused_and_not_touched(tmp_path: Path, na
     assert (folder / name).read_text() == "a run"
 
 
+@pytest.mark.parametrize("folder", ["a", "a/b/c"])
+def test_a_run_folder_cannot_be_a_file_nor_lie_in_one(tmp_path: Path, folder: str) -> None:
+    (tmp_path / "a").write_text("a file")
+    with pytest.raises(
+        NotADirectoryError, match=rf"{folder} cannot be a run folder: .*a is a file"
+    ):
+        Recorder(tmp_path / folder, SyntheticPopulation(1, 1))
+    assert (tmp_path / "a").read_text() == "a file"
+
+
 @pytest.mark.parametrize("option", ["log_every", "rows_per_part"])
 def test_counts_are_checked_before_anything_is_written(tmp_path: Path, option: str) -> None:
     with pytest.raises(ValueError, match=f"{option} must be at least 1, got 0"):
@@ -216,65 +218,3 @@ def test_cuts_are_named_and_in_raw_units() -> None:
     assert wheels[0]["cut_value"] == pytest.approx(0.0)  # half way between -1 and 1
     leaves = [row for row in table if row["split_step"] == -1]
     assert {(row["cut_dimension"], row["cut_value"]) for row in leaves} == {(None, None)}
-
-
-def test_tensorboard_shows_the_run_so_far(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, n_agents=2, n_decisions=1000)
-    board = events(folder)
-    tags = board.Tags()
-    table = pq.read_table(parts(folder))
-    last = table.slice(2 * 900)
-    assert [event.step for event in board.Scalars("error/mean")] == list(range(100, 1001, 100))
-    assert board.Scalars("error/mean")[-1].value == pytest.approx(last["error"].to_numpy().mean())
-    shares = [board.Scalars(f"zones/{name}")[-1].value for name in ZONES]
-    assert shares == pytest.approx(np.bincount(last["zone"].to_numpy()) / 200)
-    top = [board.Scalars(f"top_progress/{rank}")[-1].value for rank in range(1, 4)]
-    assert top == sorted(top, reverse=True)
-    assert {"progress/mean", "progress/best", "regions/number"} <= set(tags["scalars"])
-    assert "error/expected" not in tags["scalars"]  # nobody expected anything
-    assert tags["histograms"] == ["progress/regions"]
-    assert tags["images"] == ["progress/map"]
-    assert "custom_scalars__config__" in tags["tensors"]
-
-
-def test_a_region_of_agent_0_has_its_own_curve_while_it_is_a_leaf(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, n_decisions=600)
-    root = [event.step for event in events(folder).Scalars("region_error/0000")]
-    split = pq.read_table(folder / "regions.parquet")["split_step"][0].as_py()
-    assert root == [step for step in range(100, 601, 100) if step <= split]
-
-
-def test_the_number_of_tags_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "N_REGIONS_SHOWN", 2)
-    tags = events(write_run(tmp_path, n_decisions=700)).Tags()["scalars"]
-    assert {tag for tag in tags if tag.startswith("region_progress")} == {
-        "region_progress/0000",
-        "region_progress/0001",
-    }
-
-
-def test_logs_that_straddle_parts_lose_and_repeat_nothing(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, n_decisions=21, rows_per_part=4, log_every=7)
-    errors = pq.read_table(parts(folder))["error"].to_numpy()
-    logged = [event.value for event in events(folder).Scalars("error/mean")]
-    assert logged == pytest.approx(errors.reshape(3, 7).mean(axis=1))
-
-
-def test_a_row_of_the_map_is_a_leaf_with_its_ancestors_before_it() -> None:
-    chart = recording._ProgressMap()
-    chart.add(np.array([0]), np.array([0.1]))
-    chart.add(np.array([1, 2]), np.array([0.2, 0.3]))
-    chart.add(np.array([1, 3, 4]), np.array([0.4, 0.5, 0.6]))
-    lines = chart._lines_of_descent([-1, 0, 0, 2, 2])
-    assert lines[[1, 3, 4]].tolist() == [[0.1, 0.2, 0.4], [0.1, 0.3, 0.5], [0.1, 0.3, 0.6]]
-
-
-def test_the_map_covers_the_whole_run_in_bounded_memory() -> None:
-    chart = recording._ProgressMap()
-    for moment in range(10_000):
-        chart.add(np.array([0]), np.array([float(moment)]))
-    kept = chart._lines_of_descent([-1])[0]
-    assert len(kept) <= recording.MAP_COLUMNS
-    assert kept[0] == 0.0
-    assert len(set(np.diff(kept))) == 1
-    assert kept[-1] > 9_800

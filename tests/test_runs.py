@@ -1,8 +1,9 @@
-"""Reading a run back, and measuring it."""
+"""Reading a run back, and how it went over time."""
 
-import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -20,7 +21,6 @@ from torch_iac.runs import (
     focus_steps,
     load_run,
     region_zones,
-    summarise,
     zone_shares,
 )
 
@@ -54,6 +54,19 @@ def test_a_null_is_nan_in_a_column(run: Run) -> None:
 def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=f"{re.escape(str(tmp_path))} holds no run"):
         load_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("half a fi", r"config.json cannot be read: Expecting value"),
+        ('{"seeds": [0]}', "config.json must be the config of a run, but it has no space"),
+    ],
+)
+def test_a_config_of_something_else_is_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "config.json").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        _ = load_run(tmp_path).seeds
 
 
 def test_what_is_not_there_yet_is_said(tmp_path: Path) -> None:
@@ -135,6 +148,30 @@ def test_curves_are_means_over_the_line_of_descent(run: Run) -> None:
             assert mean == pytest.approx(errors[: decision + 1][so_far][-150:].mean())
 
 
+@pytest.mark.parametrize(
+    ("config", "window"), [({}, 150), ({"iac": {"window": 26, "inherit_history": True}}, 26)]
+)
+def test_curves_take_the_window_that_the_run_had(
+    tmp_path: Path, config: Mapping[str, Any], window: int
+) -> None:
+    run = load_run(write_run(tmp_path, n_decisions=300, config=config))
+    root, errors = error_curves(run)[0], run.column("error")[:, 0]
+    assert root.mean_errors[200] == pytest.approx(errors[201 - window : 201].mean())
+
+
+def test_without_inheritance_a_curve_is_of_the_regions_own_errors(tmp_path: Path) -> None:
+    config = {"iac": {"window": 50, "inherit_history": False}}
+    run = load_run(write_run(tmp_path, n_decisions=900, config=config))
+    errors, regions = run.column("error")[:, 0], run.column("region")[:, 0]
+    curves = error_curves(run)
+    assert len(curves) > 4
+    for curve in curves:
+        own = np.flatnonzero(regions == curve.region)
+        assert curve.decisions[:-1].tolist() == own.tolist()
+        for n_errors, mean in enumerate(curve.mean_errors[:-1], start=1):
+            assert mean == pytest.approx(errors[own][max(0, n_errors - 50) : n_errors].mean())
+
+
 def test_children_start_where_their_parent_ends(run: Run) -> None:
     curves = {curve.region: curve for curve in error_curves(run)}
     for region, curve in curves.items():
@@ -175,60 +212,3 @@ def test_a_region_has_the_zone_of_most_of_its_decisions(run: Run) -> None:
         else:
             assert cover.zone[region] == -1
             assert np.isnan(cover.purity[region])
-
-
-def test_the_summary_on_disk_is_what_summarise_returns(run: Run) -> None:
-    summary = summarise(run, run.summary["seconds"])
-    assert json.loads(json.dumps(summary)) == run.summary
-
-
-def test_a_summary_tells_the_story_of_the_run(run: Run) -> None:
-    summary, zones, errors = run.summary, run.column("zone"), run.column("error")
-    assert (summary["n_agents"], summary["n_decisions"]) == (N_AGENTS, N_DECISIONS)
-    assert summary["decisions_per_second"] == N_DECISIONS / summary["seconds"]
-    assert summary["zone_shares"]["f3"] == pytest.approx(np.mean(zones == 2))
-    assert summary["settled_zone_shares"]["f2"] == pytest.approx(np.mean(zones[1000:] == 1))
-    late = [errors[-1000:, i][zones[-1000:, i] == 0].mean() for i in range(N_AGENTS)]
-    assert summary["late_zone_errors"]["f1"] == pytest.approx(np.mean(late))
-    assert list(summary["first_cuts"]) == ["sound"]
-    assert summary["first_cuts"]["sound"]["n_agents"] == N_AGENTS
-    assert summary["first_cuts"]["sound"]["median_value"] == pytest.approx(2 / 3)
-    assert summary["focus"]["f3"]["n_agents"] == N_AGENTS
-    assert summary["focus"]["f3"]["median_step"] < summary["focus"]["f2"]["median_step"]
-
-
-def test_a_summary_lists_agents(run: Run) -> None:
-    second = run.summary["agents"][1]
-    zones, family = run.column("zone")[:, 1], run.family(1).to_pylist()
-    assert second["seed"] == 101
-    assert second["zone_shares"]["f1"] == pytest.approx(np.mean(zones == 0))
-    assert second["n_regions"] == sum(row["split_step"] < 0 for row in family)
-    assert second["first_cut"] == {
-        "dimension": "sound",
-        "value": pytest.approx(2 / 3),
-        "step": family[0]["split_step"],
-    }
-
-
-def test_a_summary_lists_a_bounded_number_of_agents(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(runs, "N_AGENTS_LISTED", 2)
-    summary = summarise(run, 1.0)
-    assert [agent["seed"] for agent in summary["agents"]] == [100, 101]
-    assert summary["zone_shares"] == run.summary["zone_shares"]
-
-
-def test_a_short_run_has_no_settled_shares_and_no_cut(tmp_path: Path) -> None:
-    summary = load_run(write_run(tmp_path, n_decisions=30)).summary
-    assert summary["settled_zone_shares"] == {"f1": None, "f2": None, "f3": None}
-    assert summary["first_cuts"] == {}
-    assert summary["agents"][0]["first_cut"] is None
-    assert summary["focus"]["f3"] == {"n_agents": 0, "median_step": None}
-
-
-def test_a_world_without_zones_has_a_summary_too(tmp_path: Path) -> None:
-    summary = load_run(write_run(tmp_path, n_decisions=300, zone_names=None)).summary
-    assert summary["n_regions"] == 2.0
-    assert summary["focus"] == {}
-    assert "zone_shares" not in summary

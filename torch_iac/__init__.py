@@ -1,31 +1,69 @@
 """Intelligent Adaptive Curiosity in PyTorch: robots that seek what they learn fastest."""
 
-from torch_iac.agent import IAC, PRESETS, IACConfig, RegionSummary, Step
-from torch_iac.drives import Candidates, Drive, Progress, Random
+from torch_iac.agent import IAC, PRESETS, IACConfig, RegionSummary, ShadowStep, Step
+from torch_iac.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.drives import (
+    AbsoluteProgress,
+    Candidates,
+    Curriculum,
+    Drive,
+    Error,
+    GlobalProgress,
+    Improvement,
+    Knowledge,
+    MetaProgress,
+    Novelty,
+    Progress,
+    Random,
+    Stage,
+)
 from torch_iac.examples import Examples
-from torch_iac.experts import Experts, KNNExperts
+from torch_iac.experts import ExpertPool, Experts, KNNExperts, MLPExperts, NetworkExperts
+from torch_iac.meta import ImprovementPredictor, MetaPredictor
+from torch_iac.networks import MLP
 from torch_iac.progress import ErrorHistory
-from torch_iac.regions import Cut, Genealogy, RegionTree, best_cut
+from torch_iac.regions import Cut, Genealogy, RegionTree, Split, best_cut
 from torch_iac.space import Dimension, SensorimotorSpace
 
 __all__ = [
     "IAC",
+    "MLP",
     "PRESETS",
+    "AbsoluteProgress",
     "Candidates",
+    "Choice",
+    "Curriculum",
     "Cut",
     "Dimension",
     "Drive",
+    "Error",
     "ErrorHistory",
     "Examples",
+    "ExpertPool",
     "Experts",
     "Genealogy",
+    "GlobalProgress",
+    "Greedy",
     "IACConfig",
+    "Improvement",
+    "ImprovementPredictor",
     "KNNExperts",
+    "Knowledge",
+    "MLPExperts",
+    "MetaPredictor",
+    "MetaProgress",
+    "NetworkExperts",
+    "Novelty",
     "Progress",
+    "Proportional",
     "Random",
     "RegionSummary",
     "RegionTree",
     "SensorimotorSpace",
+    "ShadowStep",
+    "Softmax",
+    "Split",
+    "Stage",
     "Step",
     "best_cut",
 ]

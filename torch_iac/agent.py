@@ -1,16 +1,18 @@
 """The agent: a population of curious robots that act, observe and learn."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torch_iac.drives import Candidates, Drive, Progress
+from torch_iac.choices import Choice, Greedy
+from torch_iac.drives import Candidates, Drive, Knowledge, Progress
 from torch_iac.examples import Examples
-from torch_iac.experts import Experts, KNNExperts
+from torch_iac.experts import ExpertPool, Experts, KNNExperts
+from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.progress import ErrorHistory
 from torch_iac.randomness import RandomStream
 from torch_iac.regions import Genealogy, RegionTree, best_cut
@@ -35,6 +37,14 @@ class IACConfig:
     """What predicts the outcome in each region."""
     drive: Drive = field(default_factory=Progress)
     """What a candidate action is worth."""
+    choice: Choice = field(default_factory=Greedy)
+    """Which candidate is taken, given what each is worth."""
+    meta: MetaPredictor | None = None
+    """MP, which some drives need; the regional drive does not."""
+    improvement: ImprovementPredictor | None = None
+    """What learns how much an update improves a prediction; one drive needs it."""
+    shadows: Mapping[str, Experts] = field(default_factory=dict)
+    """Other experts, by name, that predict and learn on the same stream without any influence."""
     n_candidates: int = 50
     """How many random actions are weighed at a decision (the papers do not say)."""
     epsilon: float = 0.1
@@ -63,15 +73,14 @@ class IACConfig:
                 raise ValueError(f"{name} must lie in [0, {high}], got {getattr(self, name)}")
         if self.error not in ("absolute", "squared"):
             raise ValueError(f"error must be absolute or squared, got {self.error}")
+        for part in ("meta", "improvement"):
+            if part in self.drive.needs and getattr(self, part) is None:
+                drive = type(self.drive).__name__
+                raise ValueError(f"{part} must be on for the drive {drive}, got None")
 
     def to_json(self) -> dict[str, Any]:
-        """Return every number, and the kind and the numbers of the experts and of the drive."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("experts", "drive"):
-            part = values[name]
-            numbers = asdict(part) if is_dataclass(part) and not isinstance(part, type) else {}
-            values[name] = {"kind": type(part).__name__, **numbers}
-        return values
+        """Return every number, and the kind and the numbers of each part."""
+        return {f.name: _to_json(getattr(self, f.name)) for f in fields(self)}
 
 
 PRESETS = {
@@ -80,6 +89,21 @@ PRESETS = {
 }
 """The two papers' parameters. The 2007 robot also senses the toy's distance alone: in the toy room,
 `beams=0, toy_direction=False`."""
+
+
+@dataclass(frozen=True)
+class ShadowStep:
+    """What experts that only look on made of a decision.
+
+    Attributes:
+        name: Their name in the config.
+        predictions: Shape `(A, K)`, in raw units.
+        errors: Shape `(A,)`, float64, in scaled units.
+    """
+
+    name: str
+    predictions: Tensor
+    errors: Tensor
 
 
 @dataclass(frozen=True)
@@ -97,6 +121,7 @@ class Step:
         regions: Shape `(A,)`, the region whose expert predicted, before any split.
         progress: Shape `(A,)`, float64, of that region when the action was chosen.
         random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
+        shadows: What the other experts made of it, in the config's order.
     """
 
     number: int
@@ -109,6 +134,7 @@ class Step:
     regions: Tensor
     progress: Tensor
     random_actions: Tensor
+    shadows: tuple[ShadowStep, ...]
 
 
 @dataclass(frozen=True)
@@ -184,8 +210,23 @@ class IAC:
             n_agents, situation_dim, outcome_dim, config.max_examples, self.device
         )
         self.history = ErrorHistory(n_agents, config.window, config.delay, self.device)
+        self.whole_history = (
+            ErrorHistory(n_agents, config.window, config.delay, self.device)
+            if "whole_history" in config.drive.needs
+            else None
+        )
+        dims = (situation_dim, outcome_dim)
+        self.experts = config.experts.pool(*dims, self.seeds, self.device)
+        self.shadows = {
+            name: experts.pool(*dims, self.seeds, self.device)
+            for name, experts in config.shadows.items()
+        }
+        start = (situation_dim, self.seeds, self.device)
+        self.meta = config.meta.start(*start) if config.meta else None
+        self.improvement = config.improvement.start(*start) if config.improvement else None
+        # For each decision: is it random, which candidate if that is left to chance, candidates.
         self._choices = RandomStream(
-            self.seeds, config.n_candidates * action_dim + 1, CHOICE_STREAM, self.device
+            self.seeds, 2 + config.n_candidates * action_dim, CHOICE_STREAM, self.device
         )
         self._action_scale = Scale(space.actions, self.device)
         self._sensor_scale = Scale(space.sensors, self.device)
@@ -214,12 +255,12 @@ class IAC:
         """
         readings = self._checked(sensors)
         numbers = self._choices.at(self.n_decisions)
-        candidates, nodes = self._candidates(readings, numbers[:, 1:])
-        worth = self.config.drive.worth(candidates, self.history)
-        # Candidates are drawn independently, so the first is a random action,
-        # and the first of the best is a random one of them.
+        candidates, nodes = self._candidates(readings, numbers[:, 2:])
+        worth = self.config.drive.worth(candidates, self._knowledge())
+        # Candidates are drawn independently, so the first is a random action.
         random = numbers[:, 0] < self.config.epsilon
-        chosen = worth.argmax(dim=1).masked_fill_(random, 0).add_(self._first_candidates)
+        chosen = self.config.choice.pick(worth, numbers[:, 1]).masked_fill_(random, 0)
+        chosen += self._first_candidates
         situations = candidates.situations.flatten(0, 1).index_select(0, chosen)
         actions = self._action_scale.to_raw(situations[:, : len(self.space.actions)])
         nodes = nodes.take(chosen)
@@ -244,8 +285,7 @@ class IAC:
         raw_outcomes = readings.index_select(1, self._outcome_columns)
         outcomes = self._outcome_scale.to_unit(raw_outcomes)
         rows = self.tree.rows.take(decision.nodes)
-        predictions = self.config.experts.predict(self.examples, rows, decision.situations)
-        errors = self._errors(predictions, outcomes)
+        predictions, errors = self._predict(self.experts, rows, decision, outcomes)
         step = Step(
             number=self.n_decisions,
             actions=decision.actions,
@@ -253,10 +293,14 @@ class IAC:
             outcomes=raw_outcomes,
             predictions=self._outcome_scale.to_raw(predictions),
             errors=errors,
-            expected_errors=None,
+            expected_errors=self._expected_errors(decision.situations),
             regions=self.tree.region.take(decision.nodes),
             progress=self.history.progress.take(rows),
             random_actions=decision.random,
+            shadows=tuple(
+                self._shadow_step(name, pool, rows, decision, outcomes)
+                for name, pool in self.shadows.items()
+            ),
         )
         self._learn(rows, decision, outcomes, errors)
         self.n_decisions += 1
@@ -305,17 +349,63 @@ class IAC:
         nodes = self.tree.route(situations)
         return Candidates(situations, self.tree.rows.take(nodes)), nodes
 
-    def _errors(self, predictions: Tensor, outcomes: Tensor) -> Tensor:
+    def _knowledge(self) -> Knowledge:
+        return Knowledge(
+            self.n_decisions,
+            self.space,
+            self.examples,
+            self.history,
+            self.meta,
+            self.whole_history,
+            self.improvement,
+        )
+
+    def _predict(
+        self, pool: ExpertPool, rows: Tensor, decision: _Decision, outcomes: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return predictions `(A, K)` and their errors `(A,)`, in scaled units."""
+        predictions = pool.predict(self.examples, rows, decision.situations)
         difference = (predictions - outcomes).double()
         size = difference.abs_() if self.config.error == "absolute" else difference.square_()
-        return size.mean(dim=1)
+        return predictions, size.mean(dim=1)
+
+    def _expected_errors(self, situations: Tensor) -> Tensor | None:
+        return self.meta.expect(situations[:, None])[:, 0] if self.meta else None
+
+    def _shadow_step(
+        self, name: str, pool: ExpertPool, rows: Tensor, decision: _Decision, outcomes: Tensor
+    ) -> ShadowStep:
+        predictions, errors = self._predict(pool, rows, decision, outcomes)
+        return ShadowStep(name, self._outcome_scale.to_raw(predictions), errors)
 
     def _learn(self, rows: Tensor, decision: _Decision, outcomes: Tensor, errors: Tensor) -> None:
         self.history.add(rows, errors)
+        if self.whole_history is not None:
+            self.whole_history.add(self.tree.roots, errors)
         counts = self.examples.add(rows, decision.situations, outcomes)
+        for pool in (self.experts, *self.shadows.values()):
+            self._check_finite(pool.learn(self.examples, rows, self.n_decisions), decision.nodes)
+        if self.improvement is not None:
+            _, errors_after = self._predict(self.experts, rows, decision, outcomes)
+            gains = errors - errors_after
+            losses = self.improvement.learn(decision.situations, gains, self.n_decisions)
+            self._check_finite(losses, decision.nodes)
+        if self.meta is not None:
+            losses = self.meta.learn(decision.situations, errors, self.n_decisions)
+            self._check_finite(losses, decision.nodes)
         if counts.max().item() > self.config.max_examples:  # C1
             full = (counts > self.config.max_examples).nonzero()[:, 0]
             self._split(decision.nodes[full], rows[full])
+
+    def _check_finite(self, losses: Tensor | None, nodes: Tensor) -> None:
+        if losses is None or losses.isfinite().all():
+            return
+        agent = int((~losses.isfinite()).nonzero()[0])
+        raise FloatingPointError(
+            f"a loss must be finite, got {losses[agent].item()} in region "
+            f"{self.tree.region[nodes[agent]].item()} of agent {agent} at decision "
+            f"{self.n_decisions}"
+        )
 
     def _split(self, nodes: Tensor, rows: Tensor) -> None:
         situations = self.examples.situations[rows]  # (F, D, N)
@@ -326,17 +416,29 @@ class IAC:
         if not len(nodes):
             return
         cut = type(cut)(*(column[cut.found] for column in vars(cut).values()))
-        new_rows = self.tree.split(nodes, cut, self.examples.counts[rows], self.n_decisions)
-        self.examples.reserve(self.tree.n_rows)
-        self.history.reserve(self.tree.n_rows)
+        split = self.tree.split(nodes, cut, self.examples.counts[rows], self.n_decisions)
         along_cut = situations.gather(
             1, cut.dimension[:, None, None].expand(-1, 1, situations.shape[2])
         )[:, 0]
-        self.examples.split(rows, new_rows, along_cut > cut.value[:, None])
-        if self.config.inherit_history:
-            self.history.inherit(rows, new_rows)
-        else:
-            self.history.forget(torch.cat([rows, new_rows]))
+        self.examples.split(split, along_cut > cut.value[:, None])
+        self.history.split(split, self.config.inherit_history)
+        for pool in (self.experts, *self.shadows.values()):
+            pool.split(self.examples, split)
+
+
+def _to_json(value: Any) -> Any:
+    """Return a config's value as JSON can hold it; what it cannot hold by its name."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {name: _to_json(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_to_json(part) for part in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        numbers = {f.name: _to_json(getattr(value, f.name)) for f in fields(value)}
+        return {"kind": type(value).__name__, **numbers}
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__}.{named.__qualname__}"
 
 
 def _available(device: torch.device | str) -> torch.device:
@@ -344,7 +446,7 @@ def _available(device: torch.device | str) -> torch.device:
         probe = torch.zeros(1, device=device)
         probe.item()  # a device without memory, such as "meta", has no answer
         return probe.device
-    except (RuntimeError, AssertionError):
+    except (RuntimeError, AssertionError, ImportError):
         raise ValueError(f"device must be one that this machine has, got {device}") from None
 
 

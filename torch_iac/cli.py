@@ -8,13 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import version
+from inspect import signature
 from json import JSONDecodeError, loads
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import gymnasium as gym
 import torch
 import tyro
+from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC, PRESETS, IACConfig
@@ -30,6 +32,12 @@ WORLDS = {"toyroom": "torch_iac_envs/ToyRoom-v0"}
 OUTCOMES = {"toyroom": ("toy_distance",)}
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts}
 DRIVES: dict[str, type[Drive]] = {"progress": Progress, "random": Random}
+KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+"""What an argument of a world may be, in words."""
+
+SEEDS = 2**32
+"""Seeds lie below; every random number generator takes them."""
+
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
 
 
@@ -71,29 +79,31 @@ class Train:
         for name in ("steps", "agents", "log_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.seed < SEEDS:
+            raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
-    def run(self) -> None:
-        """Carry the command out."""
+    def run(self, words: Sequence[str]) -> None:
+        """Carry the command out; `words` are what the user typed."""
         out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
         options = _options(self.world_options)
-        seeds = range(self.seed, self.seed + self.agents)
-        env = gym.make_vec(WORLDS[self.world], self.agents, "sync", **options)
+        env = _make_world(self.world, self.agents, options)
         try:
             outcomes = self.outcomes or OUTCOMES[self.world]
             space = SensorimotorSpace.from_env(env, "all" if outcomes == ("all",) else outcomes)
+            seeds = range(self.seed, self.seed + self.agents)
             agent = IAC(space, self.iac, seeds, _device(self.device))
             zone_names = env.metadata.get("zone_names")
-            config = self._description(options)
+            config = self._description(words, options)
             with Recorder(out, agent, zone_names, config, log_every=self.log_every) as recorder:
-                train(agent, env, self.steps, recorder)
+                _live(agent, env, self.steps, recorder)
         finally:
             env.close()
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
 
-    def _description(self, options: Mapping[str, Any]) -> dict[str, Any]:
+    def _description(self, words: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            "command": ["torch-iac", *sys.argv[1:]],
+            "command": list(words),
             "versions": {"python": platform.python_version(), **{p: version(p) for p in PACKAGES}},
             "world": {"name": self.world, "id": WORLDS[self.world], "options": dict(options)},
             "steps": self.steps,
@@ -119,17 +129,40 @@ class Figures:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error that the user can mend is one sentence, with exit code 2."""
+    """Run the command.
+
+    An error that the user can mend is one sentence, with exit code 2; Ctrl-C exits with 130.
+
+    Args:
+        arguments: The words after `torch-iac`; those of the command line if none are given.
+    """
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    command = _parsed(list(sys.argv[1:] if arguments is None else arguments))
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command.run()
+        command = _parsed(arguments)
+        if isinstance(command, Train):
+            command.run(["torch-iac", *arguments])
+        else:
+            command.run()
     except (ValueError, OSError, gym.error.Error) as error:
-        print(f"torch-iac: {error}", file=sys.stderr)  # noqa: T201 - the command's answer
-        sys.exit(2)
+        _exit(2, _sentence(error))
+    except KeyboardInterrupt as interrupt:
+        _exit(130, str(interrupt) or "interrupted")
 
 
-def _parsed(arguments: list[str]) -> Train | Figures:
+def _exit(code: int, sentence: str) -> NoReturn:
+    print(f"torch-iac: {sentence}", file=sys.stderr)  # noqa: T201 - the command's answer
+    sys.exit(code)
+
+
+def _sentence(error: Exception) -> str:
+    """Return what an error says, without the number that the operating system gave it."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def _parsed(arguments: Sequence[str]) -> Train | Figures:
     settings = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
     if arguments[:1] == ["train"]:
         return tyro.cli(
@@ -154,7 +187,7 @@ def _defaults(arguments: Sequence[str]) -> Train:
     """Return what the choice of preset, experts and drive makes of the other options."""
     parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("preset", "experts", "drive"):
-        parser.add_argument(f"--{name}")
+        parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
     chosen = vars(parser.parse_known_args(arguments)[0])
     iac = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
     if chosen["experts"] in EXPERTS:
@@ -162,6 +195,35 @@ def _defaults(arguments: Sequence[str]) -> Train:
     if chosen["drive"] in DRIVES:
         iac = replace(iac, drive=DRIVES[chosen["drive"]]())
     return Train(iac=iac)
+
+
+def _make_world(
+    name: str, n_worlds: int, options: Mapping[str, Any]
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Return as many worlds as asked for.
+
+    Raises:
+        ValueError: The world has no such option, or refuses its value.
+    """
+    parameters = signature(load_env_creator(str(gym.spec(WORLDS[name]).entry_point))).parameters
+    for option, value in options.items():
+        if option not in parameters:
+            raise ValueError(
+                f"options of {name} must be among {', '.join(parameters)}, got {option}"
+            )
+        kind = parameters[option].annotation
+        if kind in KINDS and not _is_a(kind, value):
+            raise ValueError(f"{option} must be {KINDS[kind]}, got {value}")
+    try:
+        return gym.make_vec(WORLDS[name], n_worlds, "sync", **options)
+    except RuntimeError as error:  # such as a window where there is no display
+        raise ValueError(str(error)) from error
+
+
+def _is_a(kind: type, value: object) -> bool:
+    if isinstance(value, bool):
+        return kind is bool
+    return isinstance(value, (int, float) if kind is float else kind)
 
 
 def _options(pairs: Sequence[str]) -> dict[str, Any]:
@@ -178,6 +240,17 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
     return options
 
 
+def _live(
+    agent: IAC, env: gym.vector.VectorEnv[Any, Any, Any], n_decisions: int, recorder: Recorder
+) -> None:
+    """Train, and say where the decisions are if the user has had enough."""
+    try:
+        train(agent, env, n_decisions, recorder)
+    except KeyboardInterrupt:
+        place = recorder.folder
+        raise KeyboardInterrupt(f"interrupted; what was recorded is in {place}") from None
+
+
 def _device(name: str) -> str:
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
@@ -191,7 +264,7 @@ def _report(run: Run) -> str:
     lines = [
         f"{who} took {run.n_decisions:,} decisions in {summary['seconds']:.0f} s "
         f"({summary['decisions_per_second']:.0f} a second) "
-        f"and made {summary['n_regions']:.0f} regions."
+        f"and made {summary['n_regions']:.0f} region{'s' if summary['n_regions'] != 1 else ''}."
     ]
     for name, cuts in summary["first_cuts"].items():
         lines.append(

@@ -10,6 +10,7 @@ import math
 import torch
 from torch import Tensor
 
+from torch_iac.regions import Split
 from torch_iac.table import reserve
 
 NO_EXAMPLE_OUTCOME = 0.5
@@ -55,22 +56,18 @@ class Examples:
         self.counts.index_copy_(0, rows, counts)
         return counts
 
-    def reserve(self, n_rows: int) -> None:
-        """Make room for `n_rows` rows."""
-        self.situations = reserve(self.situations, n_rows, math.inf)
-        self.outcomes = reserve(self.outcomes, n_rows, NO_EXAMPLE_OUTCOME)
-        self.counts = reserve(self.counts, n_rows, 0)
-
-    def split(self, rows: Tensor, new_rows: Tensor, goes_right: Tensor) -> None:
-        """Move the examples of full rows that go right to new rows, each side in order of age.
+    def split(self, split: Split, goes_right: Tensor) -> None:
+        """Part the examples of regions between their children, each side in order of age.
 
         Args:
-            rows: Shape `(F,)`; they keep the examples that go left.
-            new_rows: Shape `(F,)`, rows not used before.
-            goes_right: Shape `(F, N)`, which examples go.
+            split: The regions that split.
+            goes_right: Shape `(F, N)`, which examples go to the right child.
         """
-        situations, outcomes = self.situations[rows], self.outcomes[rows]
-        for target, goes in ((rows, ~goes_right), (new_rows, goes_right)):
+        self.situations = reserve(self.situations, split.n_rows, math.inf)
+        self.outcomes = reserve(self.outcomes, split.n_rows, NO_EXAMPLE_OUTCOME)
+        self.counts = reserve(self.counts, split.n_rows, 0)
+        situations, outcomes = self.situations[split.rows], self.outcomes[split.rows]
+        for target, goes in ((split.rows, ~goes_right), (split.new_rows, goes_right)):
             counts = goes.sum(-1)
             order = goes.to(torch.int8).sort(dim=-1, descending=True, stable=True).indices
             absent = torch.arange(goes.shape[-1], device=goes.device) >= counts[:, None]

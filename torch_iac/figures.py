@@ -88,19 +88,21 @@ def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
     return paths
 
 
-def draw_experts(run: Run, agent: int = 0, window: int = 150) -> Figure:
+def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
     """Return figure 2: the tree of an agent's experts, by the mean error of each over time.
 
     A curve is the mean of the last `window` errors of a region, each error being the mean absolute
     difference (or as the run's config says) between prediction and outcome, in scaled units. It
-    lasts from the region's birth to its split, where the curves of its two children begin. Its
-    colour is the zone that it mostly covers, or its depth in a world without zones.
+    lasts from the region's birth to its split, where the curves of its two children begin (if they
+    inherit its errors). Its colour is the zone that it mostly covers, or its depth in a world
+    without zones.
 
     Args:
         run: The run.
         agent: Whose experts.
-        window: How many errors the mean is over.
+        window: How many errors the mean is over; the run's own `error_window` if none is given.
     """
+    window = run.error_window if window is None else window
     curves = error_curves(run, agent, window)
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from torch_iac.regions import Split
 from torch_iac.table import reserve
 
 
@@ -36,7 +37,7 @@ class ErrorHistory:
         self._sums = torch.zeros(n_rows, self._size, dtype=torch.float64, device=device)
         self._counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
         self.progress = torch.zeros(n_rows, dtype=torch.float64, device=device)
-        # Where the sums stand, relative to the newest, that the two means will be made of.
+        # Where the next sum goes, relative to the newest, and those that its progress is made of.
         self._marks = torch.tensor([1, 0, 1 - window, 1 - delay, 1 - delay - window], device=device)
 
     def add(self, rows: Tensor, errors: Tensor) -> None:
@@ -47,15 +48,36 @@ class ErrorHistory:
             errors: Shape `(A,)`, float64, in scaled units.
         """
         counts = self._counts.take(rows)
-        places = (counts[:, None] + self._marks) % self._size
-        _, last, window_ago, delay_ago, both_ago = self._sums[rows[:, None], places].unbind(1)
-        newest = last + errors
-        self._sums[rows, places[:, 0]] = newest
+        places, sums = self._marked(rows, counts)
+        newest = sums[..., 0] + errors
         counts += 1
+        self._sums[rows, places[:, 0]] = newest
         self._counts.index_copy_(0, rows, counts)
+        self.progress.index_copy_(0, rows, self._progress(newest, sums, counts))
+
+    def progress_after(self, rows: Tensor, errors: Tensor) -> Tensor:
+        """Return what the progress of rows would be after one more error; nothing is changed.
+
+        Args:
+            rows: Shape `(...)`.
+            errors: Shape `(...)`, float64, in scaled units.
+
+        Returns:
+            Shape `(...)`, float64.
+        """
+        counts = self._counts.take(rows)
+        _, sums = self._marked(rows, counts)
+        return self._progress(sums[..., 0] + errors, sums, counts + 1)
+
+    def _marked(self, rows: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the places in the ring of the next sum and of those that matter; their sums."""
+        places = (counts[..., None] + self._marks) % self._size
+        return places, self._sums[rows[..., None], places[..., 1:]]
+
+    def _progress(self, newest: Tensor, sums: Tensor, counts: Tensor) -> Tensor:
+        _, window_ago, delay_ago, both_ago = sums.unbind(-1)
         progress = (delay_ago - both_ago).sub_(newest).add_(window_ago).div_(self.window)
-        progress.mul_(counts >= self.delay + self.window)
-        self.progress.index_copy_(0, rows, progress)
+        return progress.mul_(counts >= self.delay + self.window)
 
     def mean_error(self, rows: Tensor) -> Tensor:
         """Return the mean of the last `window` errors of rows, or of all if they are fewer.
@@ -71,20 +93,17 @@ class ErrorHistory:
         newest = self._sums[rows, counts % self._size]
         return (newest - self._sums[rows, (counts - n_errors) % self._size]) / n_errors
 
-    def reserve(self, n_rows: int) -> None:
-        """Make room for `n_rows` rows."""
-        self._sums = reserve(self._sums, n_rows, 0.0)
-        self._counts = reserve(self._counts, n_rows, 0)
-        self.progress = reserve(self.progress, n_rows, 0.0)
+    def split(self, split: Split, inherit: bool) -> None:
+        """Give children their parents' histories and progress, or empty ones.
 
-    def inherit(self, rows: Tensor, new_rows: Tensor) -> None:
-        """Copy histories and progress from rows `(F,)` to new rows `(F,)`."""
-        self._sums[new_rows] = self._sums[rows]
-        self._counts[new_rows] = self._counts[rows]
-        self.progress[new_rows] = self.progress[rows]
-
-    def forget(self, rows: Tensor) -> None:
-        """Empty the histories of rows `(F,)`: no errors, no progress."""
-        self._sums[rows] = 0.0
-        self._counts[rows] = 0
-        self.progress[rows] = 0.0
+        Args:
+            split: The regions that split.
+            inherit: Whether the children take over what their parents had.
+        """
+        self._sums = reserve(self._sums, split.n_rows, 0.0)
+        self._counts = reserve(self._counts, split.n_rows, 0)
+        self.progress = reserve(self.progress, split.n_rows, 0.0)
+        for column in (self._sums, self._counts, self.progress):
+            if not inherit:
+                column[split.rows] = 0
+            column[split.new_rows] = column[split.rows]

@@ -30,7 +30,7 @@ class RandomStream:
         self, seeds: Sequence[int], n_numbers: int, stream: int, device: torch.device
     ) -> None:
         key = torch.tensor([_signed(seed) for seed in seeds], dtype=torch.int64, device=device)
-        self._key = _mix(_mix(key + _GOLDEN) + stream * _GOLDEN)
+        self._key = _mix(_mix(key + _GOLDEN) + _signed(stream * _GOLDEN))
         self._lanes = torch.arange(1, n_numbers + 1, device=device) * _GOLDEN
         # Drawn for many decisions at once: for one agent the numbers then cost next to nothing.
         self._block_size = max(1, min(256, _BLOCK_NUMBERS // (len(seeds) * n_numbers)))

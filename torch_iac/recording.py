@@ -1,10 +1,9 @@
-"""What a run leaves behind: its decisions, its regions, TensorBoard, a summary.
+"""Writes a run folder: its decisions, its regions, TensorBoard, a summary.
 
 Every file is written under a temporary name, fsynced and renamed, so whatever has its final name is
 whole, also after a crash. Shapes: `A` agents, `T` decisions in one part, `S` regions.
 """
 
-import io
 import json
 import os
 import time
@@ -14,34 +13,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from PIL import Image
-from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary, SummaryMetadata
 from torch import Tensor
-from torch.utils.tensorboard import FileWriter
-from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.agent import RegionSummary, Step
+from torch_iac.dashboard import Dashboard
+from torch_iac.measures import summarise
 from torch_iac.regions import NONE, Genealogy
-from torch_iac.runs import CONFIG, REGIONS, STEPS, SUMMARY, load_run, part_path, summarise
+from torch_iac.runs import CONFIG, REGIONS, STEPS, SUMMARY, load_run, part_path
 from torch_iac.space import Dimension, SensorimotorSpace
 
 DECISIONS_PER_PART = 2000
 """A part is written after so many decisions, or earlier in a large population."""
-
-N_REGIONS_SHOWN = 200
-"""TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
-
-WINDOW_TAGS = {
-    "progress": "progress/mean",
-    "errors": "error/mean",
-    "expected_errors": "error/expected",
-}
-"""The fields of a step whose means are logged, and where."""
 
 DTYPES = {
     "random_actions": np.bool_,
@@ -51,34 +37,6 @@ DTYPES = {
     "progress": np.float64,
 }
 """The fields of a step that are one number an agent; the rest are vectors in raw units, float32."""
-
-N_TOP = 5
-"""How many of the regions with most progress are followed by rank."""
-
-LOGS_PER_PICTURE = 10
-"""The histogram and the map are drawn every so many logs: they cost more than numbers."""
-
-MAP_COLUMNS = 256
-"""How many moments the map holds; when it is full, every other one is dropped."""
-
-MAP_PIXELS = (384, 640)
-"""Height and width of the map."""
-
-DESCRIPTIONS = {
-    "progress/mean": "Mean learning progress of the regions that predicted the last decisions, "
-    "over all agents.",
-    "progress/best": "Learning progress of the best region, mean over all agents.",
-    "progress/regions": "Learning progress of every present region of every agent.",
-    "progress/map": "Learning progress of agent 0, from the start (left) to now (right). Each row "
-    "is a present region, neighbours in the tree side by side; before its birth it shows its "
-    "ancestors. Red: errors fall, blue: errors grow.",
-    "error/mean": "Mean prediction error of the last decisions, over all agents, in scaled units.",
-    "error/expected": "What the meta-predictor expected it to be.",
-    "regions/number": "How many regions an agent's cube is in, mean over all agents.",
-}
-
-PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
-"""Which part of TensorBoard shows which kind of value."""
 
 
 class Recorded(Protocol):
@@ -124,6 +82,7 @@ class Recorder:
 
     Raises:
         FileExistsError: The folder already holds a run; it is not touched.
+        NotADirectoryError: The folder is a file, or would lie in one.
         ValueError: `log_every` or `rows_per_part` is below 1.
     """
 
@@ -148,7 +107,7 @@ class Recorder:
         self._agent, self._log_every = agent, log_every
         self._rows = _Rows(n_decisions, agent.space, agent.seeds, zone_names is not None)
         self._n_parts = self._n_tallied = 0
-        self._dashboard = _Dashboard(self.folder, len(agent.seeds), zone_names or ())
+        self._dashboard = Dashboard(self.folder, len(agent.seeds), zone_names or ())
         self._started = time.perf_counter()
 
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
@@ -166,7 +125,9 @@ class Recorder:
         self._rows.add(step, zones)
         if (step.number + 1) % self._log_every == 0:
             self._tally()
-            self._dashboard.log(step.number + 1, self._agent)
+            self._dashboard.log(
+                step.number + 1, self._agent.region_summary(), self._agent.genealogy
+            )
         if self._rows.is_full:
             self.flush()
 
@@ -193,7 +154,7 @@ class Recorder:
 
     def _tally(self) -> None:
         """Show the dashboard what was recorded since the last time."""
-        self._dashboard.tally(self._rows, self._n_tallied)
+        self._dashboard.tally(self._rows.since(self._n_tallied))
         self._n_tallied = self._rows.count
 
     def __enter__(self) -> Self:
@@ -279,13 +240,10 @@ class _Rows:
             values[self.count] = np.nan if tensor is None else tensor.numpy(force=True)
         self.count += 1
 
-    def since(self, start: int, field: str) -> NDArray[Any]:
-        """Return a field of the decisions kept at `start` and later, shape `(T, A, ...)`."""
-        return self._values[field][start : self.count]
-
-    def zones_since(self, start: int) -> NDArray[np.int8]:
-        """Return the zones of the decisions kept at `start` and later, shape `(T, A)`."""
-        return self._zones[start : self.count]
+    def since(self, start: int) -> dict[str, NDArray[Any]]:
+        """Return the fields of the decisions kept at `start` and later, each `(T, A, ...)`."""
+        columns = {"zones": self._zones} if self.has_zones else {}
+        return {name: kept[start : self.count] for name, kept in (columns | self._values).items()}
 
     def clear(self) -> None:
         """Start anew."""
@@ -326,199 +284,11 @@ def _column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
     }
 
 
-class _Dashboard:
-    """What TensorBoard shows while the run goes on."""
-
-    def __init__(self, folder: Path, n_agents: int, zone_names: Sequence[str]) -> None:
-        self._n_agents, self._zone_names = n_agents, zone_names
-        self._window = _Window(len(zone_names))
-        self._map = _ProgressMap()
-        self._n_logs = 0
-        self._undescribed = dict(DESCRIPTIONS)
-        self._writer = FileWriter(str(folder))
-        layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
-        self._writer.add_summary(layout)
-
-    def tally(self, rows: _Rows, start: int) -> None:
-        """Count in the decisions kept at `start` and later."""
-        self._window.add(rows, start)
-
-    def log(self, n_decisions: int, agent: Recorded) -> None:
-        """Write what the decisions since the last log and the present regions have to tell."""
-        regions = agent.region_summary()
-        own = regions.agent.numpy() == 0
-        scalars = self._window.means(self._zone_names)
-        self._window = _Window(len(self._zone_names))
-        scalars |= _over_agents(regions, self._n_agents)
-        scalars |= _top(regions.progress.numpy()[own]) | _by_region(regions, own)
-        values = [self._value(tag, simple_value=value) for tag, value in scalars.items()]
-        self._map.add(regions.region.numpy()[own], regions.progress.numpy()[own])
-        self._n_logs += 1
-        if self._n_logs % LOGS_PER_PICTURE == 0:
-            histogram = _histogram(regions.progress.numpy())
-            values.append(self._value("progress/regions", histo=histogram))
-            values.append(self._value("progress/map", image=self._map.draw(agent.genealogy())))
-        self._writer.add_summary(Summary(value=values), n_decisions)
-
-    def flush(self) -> None:
-        self._writer.flush()
-
-    def close(self) -> None:
-        self._writer.close()
-
-    def _value(self, tag: str, **content: Any) -> Summary.Value:
-        """Return one value; the first of its tag comes with a description, if there is one."""
-        if tag not in self._undescribed:
-            return Summary.Value(tag=tag, **content)
-        plugin = SummaryMetadata.PluginData(plugin_name=PLUGINS[next(iter(content))])
-        about = SummaryMetadata(summary_description=self._undescribed.pop(tag), plugin_data=plugin)
-        return Summary.Value(tag=tag, metadata=about, **content)
-
-
-class _Window:
-    """Sums over the decisions since the last log."""
-
-    def __init__(self, n_zones: int) -> None:
-        self._sums = dict.fromkeys(WINDOW_TAGS, 0.0)
-        self._zone_counts = np.zeros(n_zones, np.int64)
-        self._n_rows = 0
-
-    def add(self, rows: _Rows, start: int) -> None:
-        """Count in the decisions kept at `start` and later."""
-        for field in self._sums:
-            self._sums[field] += float(rows.since(start, field).sum(dtype=np.float64))
-        if rows.has_zones:
-            zones = rows.zones_since(start).ravel()
-            self._zone_counts += np.bincount(zones, minlength=len(self._zone_counts))
-        self._n_rows += rows.since(start, "errors").size
-
-    def means(self, zone_names: Sequence[str]) -> dict[str, float]:
-        """Return the means, as far as there are any, and the share of each zone."""
-        means = {WINDOW_TAGS[field]: total / self._n_rows for field, total in self._sums.items()}
-        shares = (self._zone_counts / self._n_rows).tolist()
-        known = {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
-        return known | {f"zones/{z}": share for z, share in zip(zone_names, shares, strict=True)}
-
-
-def _over_agents(regions: RegionSummary, n_agents: int) -> dict[str, float]:
-    """Return measures of the present regions, each the mean over all agents."""
-    best = np.full(n_agents, -np.inf)
-    np.maximum.at(best, regions.agent.numpy(), regions.progress.numpy())
-    return {
-        "progress/best": float(best.mean()),
-        "regions/number": len(regions.agent) / n_agents,
-    }
-
-
-def _top(progress: NDArray[np.float64]) -> dict[str, float]:
-    """Return the progress of one agent's best regions, by rank."""
-    best = np.sort(progress)[::-1][:N_TOP].tolist()
-    return {f"top_progress/{rank}": value for rank, value in enumerate(best, start=1)}
-
-
-def _by_region(regions: RegionSummary, chosen: NDArray[np.bool_]) -> dict[str, float]:
-    """Return the progress and the mean error of each chosen region, as far as they are shown."""
-    chosen = chosen & (regions.region.numpy() < N_REGIONS_SHOWN)
-    names = regions.region.numpy()[chosen].tolist()
-    scalars: dict[str, float] = {}
-    for tag, column in (
-        ("region_progress", regions.progress),
-        ("region_error", regions.mean_error),
-    ):
-        values = column.numpy()[chosen].tolist()
-        scalars |= {f"{tag}/{n:04d}": v for n, v in zip(names, values, strict=True) if v == v}
-    return scalars
-
-
-class _ProgressMap:
-    """An agent's learning progress, region by region, over the whole run, in bounded memory."""
-
-    def __init__(self) -> None:
-        self._moments: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
-        self._stride = 1
-        self._n_added = 0
-
-    def add(self, regions: NDArray[np.int64], progress: NDArray[np.float64]) -> None:
-        """Keep the progress of the regions that are there now."""
-        if self._n_added % self._stride == 0:
-            self._moments.append((regions, progress))
-        self._n_added += 1
-        if len(self._moments) == MAP_COLUMNS:
-            self._moments, self._stride = self._moments[::2], self._stride * 2
-
-    def draw(self, genealogy: Genealogy) -> Summary.Image:
-        """Return the map as it is now; before a region was born, its row shows its ancestors."""
-        own = genealogy.agent.numpy() == 0
-        parents = genealogy.parent.numpy()[own].tolist()
-        leaves = np.flatnonzero(genealogy.split_step.numpy()[own] == NONE)
-        rows = sorted(leaves.tolist(), key=_paths(parents).__getitem__)
-        return _image(self._lines_of_descent(parents)[rows])
-
-    def _lines_of_descent(self, parents: list[int]) -> NDArray[np.float64]:
-        """Return each region's progress at each moment, its ancestors' before it was born."""
-        lines = np.full((len(parents), len(self._moments)), np.nan)
-        for moment, (regions, progress) in enumerate(self._moments):
-            lines[regions, moment] = progress
-        for region, parent in enumerate(parents):  # parents come before their children
-            if parent != NONE:
-                lines[region] = np.where(np.isnan(lines[region]), lines[parent], lines[region])
-        return lines
-
-
-def _paths(parents: list[int]) -> list[str]:
-    """Return the way from the root to each region: 0 for left, 1 for right, cut by cut."""
-    paths = [""] * len(parents)
-    has_left = set()
-    for region, parent in enumerate(parents):
-        if parent != NONE:
-            paths[region] = paths[parent] + ("1" if parent in has_left else "0")
-            has_left.add(parent)
-    return paths
-
-
-def _image(progress: NDArray[np.float64]) -> Summary.Image:
-    """Return a picture of rows of progress: white is none, red positive, blue negative."""
-    scale = float(np.abs(progress).max()) or 1.0
-    rows, columns = (
-        np.arange(size) * n // size for n, size in zip(progress.shape, MAP_PIXELS, strict=True)
-    )
-    shades = np.round(127.5 + 127.5 * progress / scale).astype(np.uint8)
-    picture = Image.fromarray(shades[np.ix_(rows, columns)])
-    picture.putpalette(mpl.colormaps["RdBu_r"](np.arange(256), bytes=True)[:, :3].tobytes())
-    png = io.BytesIO()
-    picture.save(png, format="png", compress_level=1)
-    height, width = MAP_PIXELS
-    return Summary.Image(
-        height=height, width=width, colorspace=3, encoded_image_string=png.getvalue()
-    )
-
-
-def _histogram(values: NDArray[np.float64]) -> HistogramProto:
-    counts, edges = np.histogram(values, bins=30)
-    return HistogramProto(
-        min=values.min(),
-        max=values.max(),
-        num=len(values),
-        sum=values.sum(),
-        sum_squares=values @ values,
-        bucket_limit=edges[1:],
-        bucket=counts,
-    )
-
-
-def _layout(zone_names: Sequence[str]) -> dict[str, dict[str, tuple[str, list[str]]]]:
-    """Return the charts of TensorBoard's page of custom scalars."""
-    charts = {
-        "Share of time in each zone": [f"zones/{name}" for name in zone_names],
-        "Learning progress of the best regions": [f"top_progress/{r}" for r in range(1, N_TOP + 1)],
-        "Prediction error, and what MP expected": ["error/mean", "error/expected"],
-        "Number of regions": ["regions/number"],
-    }
-    return {"Development": {title: ("Multiline", tags) for title, tags in charts.items() if tags}}
-
-
 def _claim(folder: Path) -> None:
     """Make a folder ready for a run, unless it already holds one."""
+    files = [path for path in (folder, *folder.parents) if path.is_file()]
+    if files:
+        raise NotADirectoryError(f"{folder} cannot be a run folder: {files[0]} is a file")
     held = any((folder / name).exists() for name in (CONFIG, REGIONS, SUMMARY))
     held = held or any(folder.glob("events.out.tfevents.*"))
     if held or (folder / STEPS).exists():

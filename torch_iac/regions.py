@@ -43,6 +43,25 @@ class Cut:
 
 
 @dataclass(frozen=True)
+class Split:
+    """Some regions that have just been split; `F` of them, each of another agent.
+
+    Attributes:
+        rows: Shape `(F,)`, the left children's rows, which were their parents'.
+        new_rows: Shape `(F,)`, the right children's rows.
+        agents: Shape `(F,)`.
+        left_regions: Shape `(F,)`, the left children's numbers; the right ones' are one more.
+        n_rows: How many rows there are now, over all agents.
+    """
+
+    rows: Tensor
+    new_rows: Tensor
+    agents: Tensor
+    left_regions: Tensor
+    n_rows: int
+
+
+@dataclass(frozen=True)
 class Genealogy:
     """Every region ever made, by agent, then region; columns of equal length, on the CPU.
 
@@ -132,8 +151,8 @@ class RegionTree:
             nodes = self._exits.take(self._first_exit.take(nodes).add_(_as_number(above)))
         return nodes.view(n_agents, n_candidates)
 
-    def split(self, nodes: Tensor, cut: Cut, counts: Tensor, step: int) -> Tensor:
-        """Give each of some leaves two children and return the rows of the right ones.
+    def split(self, nodes: Tensor, cut: Cut, counts: Tensor, step: int) -> Split:
+        """Give each of some leaves two children.
 
         The left child takes over its parent's row; the right one gets a new row.
 
@@ -142,9 +161,6 @@ class RegionTree:
             cut: Their cuts, all found.
             counts: Shape `(F,)`, how many examples each holds.
             step: The decision that makes them split.
-
-        Returns:
-            Shape `(F,)`.
         """
         n_split = len(nodes)
         left = self.n_nodes + 2 * torch.arange(n_split, device=nodes.device)
@@ -156,10 +172,11 @@ class RegionTree:
         self.split_count[nodes] = counts
         self.cut_dimension[nodes] = cut.dimension
         self.cut_value[nodes] = cut.value
-        self._bear(nodes, left, self.rows[nodes], step)
+        rows = self.rows[nodes]
+        self._bear(nodes, left, rows, step)
         self._bear(nodes, left + 1, new_rows, step)
         self._tie(nodes, left, cut)
-        return new_rows
+        return Split(rows, new_rows, self.agent[nodes], self.region[left], self.n_rows)
 
     def _bear(self, parents: Tensor, children: Tensor, rows: Tensor, step: int) -> None:
         agents = self.agent[parents]

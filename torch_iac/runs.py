@@ -1,13 +1,12 @@
-"""Reads a run folder back: its config, decisions and regions, and what can be measured in them.
+"""Reads a run folder back: its config, decisions and regions, and how they went over time.
 
 Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +26,8 @@ SUMMARY = "summary.json"
 WINDOW = 250
 """How many decisions a window of time holds, if nobody says otherwise."""
 
-FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
-"""The share of a window that counts as a focus on a zone, for the zones of the 2004 paper."""
-
-SETTLING = 1000
-"""How many first decisions the settled shares leave out, and how many last ones errors take."""
-
-N_AGENTS_LISTED = 64
-"""How many agents a summary lists one by one."""
+ERROR_WINDOW = 150
+"""Over how many errors a mean error is taken in a run whose config does not say."""
 
 
 def load_run(folder: Path | str) -> "Run":
@@ -66,12 +59,21 @@ class Run:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything needed to run it again, as `config.json` has it."""
-        return _read_json(self.folder / CONFIG)
+        """Everything needed to run it again, as `config.json` has it.
+
+        Raises:
+            ValueError: The file is not the config of a run.
+        """
+        path = self.folder / CONFIG
+        config = _read_json(path)
+        missing = [key for key in ("space", "seeds", "zones") if key not in config]
+        if missing:
+            raise ValueError(f"{path} must be the config of a run, but it has no {missing[0]}")
+        return config
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The run's measures, as `summary.json` has them; `summarise` says what they are.
+        """The run's measures, as `summary.json` has them; `measures.summarise` says what they are.
 
         Raises:
             FileNotFoundError: The run has not ended.
@@ -99,6 +101,16 @@ class Run:
     def zone_names(self) -> tuple[str, ...]:
         """The names of the world's zones; none if it has no zones."""
         return tuple(self.config["zones"] or ())
+
+    @property
+    def error_window(self) -> int:
+        """Over how many errors its agents take a mean error: their config's `window`."""
+        return int(self.config.get("iac", {}).get("window", ERROR_WINDOW))
+
+    @property
+    def inherits_history(self) -> bool:
+        """Whether the children of a region take over its errors."""
+        return bool(self.config.get("iac", {}).get("inherit_history", True))
 
     @property
     def n_decisions(self) -> int:
@@ -182,27 +194,31 @@ class ErrorCurve:
     mean_errors: NDArray[np.float64]
 
 
-def error_curves(run: Run, agent: int = 0, window: int = 150) -> list[ErrorCurve]:
+def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[ErrorCurve]:
     """Return the mean error over time of every region that has one, in order of birth.
 
-    A child inherits its parent's errors, so its curve starts where its parent's ends.
+    A child inherits its parent's errors, so its curve starts where its parent's ends; in a run
+    whose config says that nothing is inherited, it starts with the child's own first error.
 
     Args:
         run: The run.
         agent: Whose regions.
-        window: How many of the region's last errors the mean is over; fewer while it has fewer.
+        window: How many of the region's last errors the mean is over, fewer while it has fewer;
+            the run's own `error_window` if none is given.
     """
+    window = run.error_window if window is None else window
     steps = run.table(["error", "region"], agent)
     errors = steps["error"].to_numpy()
     own_decisions = _decisions_by_region(steps["region"].to_numpy())
     nothing = np.empty(0, dtype=np.int64)
-    last_errors: dict[int, NDArray[np.float64]] = {-1: np.empty(0)}
+    no_errors = np.empty(0)
+    last_errors: dict[int, NDArray[np.float64]] = {-1: no_errors}
     curves = []
     for row in run.family(agent).to_pylist():
         region, inherited = row["region"], last_errors[row["parent"]]
         own = own_decisions.get(region, nothing)
         history = np.concatenate([inherited, errors[own]])
-        last_errors[region] = history[-window:]
+        last_errors[region] = history[-window:] if run.inherits_history else no_errors
         if not len(history):
             continue
         means = _running_mean(history, window)[max(len(inherited) - 1, 0) :]
@@ -266,7 +282,7 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
     zones = run.column("zone")
     n_windows = len(zones) // window
     windows = zones[: n_windows * window].reshape(n_windows, window, run.n_agents)
-    return _shares(windows, len(run.zone_names), axis=1)
+    return np.stack([(windows == z).mean(axis=1) for z in range(len(run.zone_names))], axis=-1)
 
 
 def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list[int | None]:
@@ -277,140 +293,6 @@ def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list
     """
     focused = zone_shares(run, window)[:, :, run.zone_names.index(zone)] > share
     return [int(mine.argmax()) * window if mine.any() else None for mine in focused.T]
-
-
-def summarise(run: Run, seconds: float) -> dict[str, Any]:
-    """Return the measures of a run, as `summary.json` holds them.
-
-    Shares and errors are means over agents, first cuts and focuses count agents and give medians;
-    `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. What a short run does
-    not have is None.
-
-    Args:
-        run: The run.
-        seconds: How long it took, by the clock on the wall.
-    """
-    n_decisions, n_regions = run.n_decisions, _n_regions(run)
-    by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)
-    return {
-        "n_agents": run.n_agents,
-        "n_decisions": n_decisions,
-        "seconds": seconds,
-        "decisions_per_second": n_decisions / seconds,
-        "n_regions": float(n_regions.mean()),
-        **_each_zone(by_zone, lambda values: float(_mean(values))),
-        "first_cuts": _count_first_cuts(cuts),
-        "focus": {zone: _count_focus(steps) for zone, steps in focus.items()},
-        "agents": [
-            {
-                "seed": run.seeds[agent],
-                "n_regions": int(n_regions[agent]),
-                **_each_zone(by_zone, itemgetter(agent)),
-                "first_cut": cuts[agent],
-                "focus": {zone: steps[agent] for zone, steps in focus.items()},
-            }
-            for agent in range(min(run.n_agents, N_AGENTS_LISTED))
-        ],
-    }
-
-
-def _measures_by_zone(run: Run) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Return each measure of each zone, shape `(A,)`; NaN where there is nothing to measure."""
-    if not run.zone_names:
-        return {}
-    zones, errors = run.column("zone"), run.column("error")[-SETTLING:]
-    n_zones = len(run.zone_names)
-    in_zone = [zones[-SETTLING:] == zone for zone in range(n_zones)]
-    measures = {
-        "zone_shares": _shares(zones, n_zones, axis=0),
-        "settled_zone_shares": _shares(zones[SETTLING:], n_zones, axis=0),
-        "late_zone_errors": np.stack([_mean(errors, axis=0, where=here) for here in in_zone], -1),
-    }
-    return {
-        measure: dict(zip(run.zone_names, values.T, strict=True))
-        for measure, values in measures.items()
-    }
-
-
-def _each_zone(
-    by_zone: dict[str, dict[str, NDArray[np.float64]]],
-    pick: Callable[[NDArray[np.float64]], float],
-) -> dict[str, dict[str, float | None]]:
-    """Return one number for each measure and zone, picked from those of all agents."""
-    return {
-        measure: {zone: _number(pick(values)) for zone, values in zones.items()}
-        for measure, zones in by_zone.items()
-    }
-
-
-def _n_regions(run: Run) -> NDArray[np.int64]:
-    """Return how many regions each agent's cube is in at last, shape `(A,)`."""
-    is_leaf = run.regions["split_step"].to_numpy() < 0
-    return np.bincount(run.regions["agent"].to_numpy()[is_leaf], minlength=run.n_agents)
-
-
-def _first_cuts(run: Run) -> list[dict[str, Any] | None]:
-    """Return how the root of each agent was cut; None for one that was not."""
-    roots = run.regions.filter(pc.field("parent") < 0).to_pylist()
-    return [
-        {"dimension": r["cut_dimension"], "value": r["cut_value"], "step": r["split_step"]}
-        if r["split_step"] >= 0
-        else None
-        for r in roots
-    ]
-
-
-def _count_first_cuts(first_cuts: list[dict[str, Any] | None]) -> dict[str, dict[str, Any]]:
-    """Return how many agents first cut along each dimension, and where and when they did."""
-    cuts = [cut for cut in first_cuts if cut is not None]
-    groups = {
-        name: [cut for cut in cuts if cut["dimension"] == name]
-        for name in sorted({cut["dimension"] for cut in cuts})
-    }
-    return {
-        name: {
-            "n_agents": len(group),
-            "median_value": float(np.median([cut["value"] for cut in group])),
-            "median_step": float(np.median([cut["step"] for cut in group])),
-        }
-        for name, group in groups.items()
-    }
-
-
-def _count_focus(steps: list[int | None]) -> dict[str, Any]:
-    """Return how many agents ever focus, and when they do."""
-    reached = [step for step in steps if step is not None]
-    return {"n_agents": len(reached), "median_step": float(np.median(reached)) if reached else None}
-
-
-def _focus(run: Run) -> dict[str, list[int | None]]:
-    """Return when each agent first focuses on each zone of `FOCUS_SHARES`."""
-    return {
-        zone: focus_steps(run, zone, share)
-        for zone, share in FOCUS_SHARES.items()
-        if zone in run.zone_names
-    }
-
-
-def _shares(zones: NDArray[np.int8], n_zones: int, axis: int) -> NDArray[np.float64]:
-    """Return the share of each zone along an axis, as a new last axis."""
-    return np.stack([_mean(zones == zone, axis=axis) for zone in range(n_zones)], axis=-1)
-
-
-def _mean(
-    values: NDArray[Any], axis: int | None = None, where: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
-    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing."""
-    counted = np.isfinite(values) if where is None else where & np.isfinite(values)
-    n_counted = counted.sum(axis=axis)
-    total = np.sum(values, axis=axis, where=counted, dtype=np.float64)
-    nothing = np.full(np.shape(total), np.nan)
-    return np.asarray(np.divide(total, n_counted, out=nothing, where=n_counted > 0))
-
-
-def _number(value: float) -> float | None:
-    """Return a plain number, or None for NaN, which JSON does not have."""
-    return None if np.isnan(value) else float(value)
 
 
 def _decisions_by_region(regions: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
@@ -447,5 +329,8 @@ def _read_part(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
     return content

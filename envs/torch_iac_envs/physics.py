@@ -14,6 +14,9 @@ from torch_iac_envs.room import Room
 TOY_ROLL = 0.1  # what is left of a kick's speed when the toy brakes
 STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
 
+# The camera, in halves of the room's side, and the height of what it sees, in degrees.
+EYE, TARGET, FIELD_OF_VIEW = (0.0, -1.5, 2.1), (0.0, -0.08, 0.0), 50.0
+
 Vector = NDArray[np.float64]
 Point = tuple[float, float, float]
 
@@ -96,6 +99,8 @@ class Physics:
         self._substeps = substeps
         self._window = window
         self._beams = np.arange(n_beams) * (2 * math.pi / max(n_beams, 1))
+        if window:
+            self._arrange_window()
 
     def close(self) -> None:
         """Give the client back, once."""
@@ -105,11 +110,13 @@ class Physics:
 
     def seat(self, state: Vector) -> None:
         """Build the room anew and put its bodies as `state`, shape `(30,)`, says."""
+        self._show(False)
         self._robot, self._toy = build(self._client, self._room, self._substeps)
         self._seat_body(self._robot, state[:13])
         for joint, (angle, speed) in enumerate(state[13:17].reshape(2, 2)):
             p.resetJointState(self._robot, joint, angle, speed, **self._client)
         self._seat_body(self._toy, state[17:])
+        self._show(True)
 
     def read(self) -> Vector:
         """Return the state, shape `(30,)`, as `seat` takes it."""
@@ -148,22 +155,33 @@ class Physics:
 
     def picture(self, width: int, height: int) -> NDArray[np.uint8]:
         """Return a picture of the room from above at an angle, shape `(height, width, 3)`."""
-        view = p.computeViewMatrix(
-            (0.0, -1.5 * self._room.side / 2, 2.1 * self._room.side / 2), (0, -0.08, 0), (0, 0, 1)
-        )
-        lens = p.computeProjectionMatrixFOV(50.0, width / height, 0.1, 20.0)
+        half = self._room.side / 2
+        eye, target = ([half * number for number in point] for point in (EYE, TARGET))
+        view = p.computeViewMatrix(eye, target, (0, 0, 1))
+        lens = p.computeProjectionMatrixFOV(FIELD_OF_VIEW, width / height, 0.1, 20.0)
         image = p.getCameraImage(
             width,
             height,
             view,
             lens,
             lightDirection=(1.5, -2.0, 4.0),
-            shadow=1,
             renderer=p.ER_TINY_RENDERER,
             **self._client,
         )
         pixels = np.asarray(image[2], np.uint8).reshape(height, width, 4)
         return np.ascontiguousarray(pixels[:, :, :3])
+
+    # The window.
+
+    def _arrange_window(self) -> None:
+        p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, **self._client)
+        p.configureDebugVisualizer(p.COV_ENABLE_SHADOWS, 0, **self._client)
+        p.resetDebugVisualizerCamera(0.95 * self._room.side, 0, -55, (0, -0.08, 0), **self._client)
+
+    def _show(self, on: bool) -> None:
+        """Let the window follow, or spare it the sight of a room being rebuilt."""
+        if self._window:
+            p.configureDebugVisualizer(p.COV_ENABLE_RENDERING, int(on), **self._client)
 
     # Acting on the bodies.
 

@@ -1,9 +1,7 @@
 """`ToyRoom`, the world of the paper: a robot, a toy and three kinds of sound."""
 
-import hashlib
 import os
 import sys
-from dataclasses import astuple
 from typing import Any, ClassVar, SupportsFloat
 
 import gymnasium as gym
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 from torch_iac_envs import room as layout
 from torch_iac_envs.physics import Command, Physics, Vector, resting_state
 from torch_iac_envs.room import Room, zone_of
+from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
@@ -20,7 +19,6 @@ State = dict[str, NDArray[Any]]
 
 PICTURE_SIZE = (480, 360)
 DIRECTION_NOISE = 2.0  # rad of the direction for a metre of a distance
-WORD = 2**64 - 1
 
 
 class ToyRoom(gym.Env[Observation, Action]):
@@ -157,7 +155,9 @@ class ToyRoom(gym.Env[Observation, Action]):
 
         `keyframe` is the physical state at the last keyframe, shape `(30,)`; `commands` are the
         decisions since, noise included, shape `(n, 5)`; `random` is the random numbers' state,
-        shape `(6,)`; `fingerprint` is the SHA-256 of the present physical state, shape `(32,)`.
+        shape `(6,)`; `present` is the physical state now, by which `set_state` checks itself, laid
+        out as `keyframe`: for robot and then toy position (m), quaternion, velocity (m/s) and spin
+        (rad/s), between them angle and speed of the left and the right wheel.
 
         Raises:
             RuntimeError: The world was not reset.
@@ -165,9 +165,9 @@ class ToyRoom(gym.Env[Observation, Action]):
         self._check_started("get_state")
         return {
             "keyframe": np.array(self._keyframe),
-            "commands": _to_array(self._commands),
-            "random": _pack_random(self.np_random),
-            "fingerprint": self._fingerprint(),
+            "commands": pack_commands(self._commands),
+            "random": pack_random(self.np_random),
+            "present": self._physics.read(),
         }
 
     def set_state(self, state: State) -> None:
@@ -177,10 +177,11 @@ class ToyRoom(gym.Env[Observation, Action]):
         An env made by `gymnasium.make` wants to be reset before, as ever.
 
         Raises:
-            ValueError: The commands are more than fit between two keyframes.
-            RuntimeError: The physical state reached is not the one that was left.
+            ValueError: There are more commands than fit between two keyframes.
+            RuntimeError: The physical state reached is not the one saved, as with other arguments
+                or another version of the engine; the world must then be reset.
         """
-        commands = _from_array(state["commands"])
+        commands = unpack_commands(state["commands"])
         if len(commands) >= self._keyframe_every:
             raise ValueError(
                 f"a state must hold fewer commands than keyframe_every = {self._keyframe_every}, "
@@ -189,8 +190,8 @@ class ToyRoom(gym.Env[Observation, Action]):
         self._seat_keyframe(np.array(state["keyframe"]))
         for command in commands:
             self._decide(command)
-        self._check_fingerprint(state["fingerprint"])
-        self.np_random = _unpack_random(state["random"])
+        self._check_reached(state["present"])
+        self.np_random = unpack_random(state["random"])
 
     def _check_started(self, what: str) -> None:
         if self._keyframe is None:
@@ -240,17 +241,13 @@ class ToyRoom(gym.Env[Observation, Action]):
         assert isinstance(box, gym.spaces.Box)  # noqa: S101 - tells the type checker
         return np.clip(values.astype(np.float32), box.low, box.high)
 
-    def _fingerprint(self) -> NDArray[np.uint8]:
-        digest = hashlib.sha256(self._physics.read().tobytes()).digest()
-        return np.frombuffer(digest, np.uint8).copy()
-
-    def _check_fingerprint(self, expected: NDArray[np.uint8]) -> None:
-        reached = self._fingerprint()
-        if not np.array_equal(reached, expected):
+    def _check_reached(self, expected: Vector) -> None:
+        reached = self._physics.read()
+        if reached.tobytes() != expected.tobytes():
             self._keyframe = None
             raise RuntimeError(
-                "the physical state reached must have the fingerprint that was saved, "
-                f"{bytes(expected).hex()[:12]}, got {bytes(reached).hex()[:12]}"
+                "the physical state reached must be exactly the one saved, "
+                f"got a difference of {np.abs(reached - expected).max():g}"
             )
 
 
@@ -266,31 +263,3 @@ def _check_render_mode(render_mode: str | None) -> None:
 def _check_at_least(name: str, value: float, least: float) -> None:
     if not least <= value < float("inf"):
         raise ValueError(f"{name} must be at least {least} and finite, got {value}")
-
-
-def _to_array(commands: list[Command]) -> Vector:
-    return np.array([astuple(command) for command in commands], np.float64).reshape(-1, 5)
-
-
-def _from_array(commands: Vector) -> list[Command]:
-    return [Command(left, right, x, y, jump > 0) for left, right, x, y, jump in commands.tolist()]
-
-
-def _pack_random(random: np.random.Generator) -> NDArray[np.uint64]:
-    """Return a PCG64 generator's state as six 64-bit words."""
-    state = random.bit_generator.state
-    words = [word >> shift & WORD for word in state["state"].values() for shift in (64, 0)]
-    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
-
-
-def _unpack_random(words: NDArray[np.uint64]) -> np.random.Generator:
-    """Return the PCG64 generator that `_pack_random` packed."""
-    high, low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
-    bits = np.random.PCG64()
-    bits.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": high << 64 | low, "inc": inc_high << 64 | inc_low},
-        "has_uint32": has_uint32,
-        "uinteger": uinteger,
-    }
-    return np.random.Generator(bits)

@@ -1,0 +1,78 @@
+"""Choices: which candidate is taken, given what each is worth."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+
+@runtime_checkable
+class Choice(Protocol):
+    """Picks one candidate for each agent."""
+
+    def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
+        """Return which candidate each agent takes, shape `(A,)`.
+
+        Args:
+            worth: Shape `(A, C)`, float64.
+            numbers: Shape `(A,)`, uniform over [0, 1), the chance that there is in the choice.
+        """
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """The candidate that is worth most; ties at random.
+
+    Source: Oudeyer and Kaplan (2004), section 2.1.
+    """
+
+    def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:  # noqa: ARG002
+        """Return which candidate each agent takes, shape `(A,)`."""
+        # Candidates are drawn independently, so the first of the best is a random one of them.
+        return worth.argmax(dim=1)
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """A candidate with a probability in proportion to what it is worth.
+
+    P(a) = max(worth(a), 0) / sum of the same over all candidates
+
+    and uniform where nothing is worth more than 0.
+
+    Source: Baranes and Oudeyer (2013), who choose regions so, by absolute progress.
+    """
+
+    def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
+        """Return which candidate each agent takes, shape `(A,)`."""
+        weights = worth.clamp(min=0.0)
+        return _sample(weights + (weights.sum(dim=1, keepdim=True) == 0), numbers)
+
+
+@dataclass(frozen=True)
+class Softmax:
+    """A candidate with a probability that grows exponentially with what it is worth.
+
+    P(a) = exp(worth(a) / temperature) / sum of the same over all candidates
+
+    Source: the usual rule of reinforcement learning, which the 2004 paper leaves open.
+    """
+
+    temperature: float = 0.01
+    """In the units of worth: for progress, of prediction error."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.temperature < math.inf:
+            raise ValueError(f"temperature must be above 0, got {self.temperature}")
+
+    def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
+        """Return which candidate each agent takes, shape `(A,)`."""
+        return _sample((worth / self.temperature).softmax(dim=1), numbers)
+
+
+def _sample(weights: Tensor, numbers: Tensor) -> Tensor:
+    """Return, for each row of weights `(A, C)`, a place drawn in proportion to them."""
+    sums = weights.cumsum(dim=1)
+    marks = numbers[:, None] * sums[:, -1:]
+    return (sums <= marks).sum(dim=1).clamp_(max=weights.shape[1] - 1)

@@ -1,0 +1,141 @@
+"""The meta-predictor MP: a network that learns what error to expect in a situation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_iac.networks import MLP, Loss, StackedNetworks, Training, pick, squared_error
+from torch_iac.randomness import RandomStream
+
+META_STREAM = 2
+LEAST_LOG_ERROR = -12.0
+"""The logarithm of the least error that MP can expect."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecentTraining(Training):
+    """How a network of the agent learns from its most recent decisions."""
+
+    hidden: tuple[int, ...] = (32, 32)
+    """Units of each hidden layer."""
+    memory: int = 1000
+    """How many of the most recent decisions it learns from."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        MLP(self.hidden)
+        if self.memory < 1:
+            raise ValueError(f"memory must be at least 1, got {self.memory}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetaPredictor(RecentTraining):
+    """MP, one multi-layer perceptron an agent: situation to expected error.
+
+    It learns online, from the most recent situations and errors only, since errors age. Its output
+    is the logarithm of the expected error, so it is never negative. What it makes smaller is
+
+        error / expected + log(expected)
+
+    which is least where the expectation is the mean error, and weighs errors relatively: a small
+    error is learnt as precisely as a large one (the loss of a gamma-distributed error).
+
+    Source: Oudeyer and Kaplan (2004), section 2.1, which does not say what MP is.
+    """
+
+    learning_rate: float = 0.003
+    """Step size of the optimiser."""
+
+    def start(
+        self, situation_dim: int, seeds: Sequence[int], device: torch.device
+    ) -> "ErrorExpectation":
+        """Return the meta-predictors of a population."""
+        return ErrorExpectation(RecentNetworks(self, gamma_loss, situation_dim, seeds, device))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImprovementPredictor(RecentTraining):
+    """A network an agent: situation to how much learning from it lowers the error there.
+
+    It makes its mean squared error smaller.
+
+    Source: Schmidhuber (1991).
+    """
+
+    def start(
+        self, situation_dim: int, seeds: Sequence[int], device: torch.device
+    ) -> "RecentNetworks":
+        """Return the networks of a population."""
+        return RecentNetworks(self, squared_error, situation_dim, seeds, device)
+
+
+class ErrorExpectation:
+    """The meta-predictors of a population at work.
+
+    Args:
+        networks: From situations to the logarithm of the error.
+    """
+
+    def __init__(self, networks: "RecentNetworks") -> None:
+        self._networks = networks
+
+    def expect(self, situations: Tensor) -> Tensor:
+        """Return the expected error in situations `(A, C, D)`, shape `(A, C)`, in scaled units."""
+        return self._networks.predict(situations).clamp_(min=LEAST_LOG_ERROR, max=0.0).exp_()
+
+    def learn(self, situations: Tensor, errors: Tensor, step: int) -> Tensor:
+        """Learn from one situation `(A, D)` and error `(A,)` each; return the losses `(A,)`."""
+        return self._networks.learn(situations, errors, step)
+
+
+class RecentNetworks:
+    """One network an agent, from situation to a number, trained on the most recent pairs.
+
+    Args:
+        training: How it learns.
+        loss: What is made smaller.
+        situation_dim: D.
+        seeds: One for each agent.
+        device: Where it learns.
+    """
+
+    def __init__(
+        self,
+        training: RecentTraining,
+        loss: Loss,
+        situation_dim: int,
+        seeds: Sequence[int],
+        device: torch.device,
+    ) -> None:
+        self._training, self._loss = training, loss
+        self._agents = torch.arange(len(seeds), device=device)
+        self._networks = StackedNetworks(MLP(training.hidden), situation_dim, 1, training, device)
+        self._networks.reserve(len(seeds))
+        self._networks.start(self._agents, seeds)
+        n_picks = training.minibatches * training.minibatch_size
+        self._picks = RandomStream(seeds, n_picks, META_STREAM, device)
+        self._situations = torch.zeros(len(seeds), situation_dim, training.memory, device=device)
+        self._targets = torch.zeros(len(seeds), 1, training.memory, device=device)
+
+    def predict(self, situations: Tensor) -> Tensor:
+        """Return what the networks make of situations `(A, C, D)`, shape `(A, C)`."""
+        return self._networks.predict(self._agents, situations)[..., 0]
+
+    def learn(self, situations: Tensor, targets: Tensor, step: int) -> Tensor:
+        """Remember a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`."""
+        place = step % self._training.memory
+        self._situations[:, :, place] = situations
+        self._targets[:, 0, place] = targets.float()
+        n_pairs = min(step + 1, self._training.memory)
+        picks = (self._picks.at(step) * n_pairs).long()
+        inputs, outputs = pick(self._situations, picks), pick(self._targets, picks)
+        size = self._training.minibatch_size
+        return self._networks.train(self._agents, inputs, outputs, size, self._loss)
+
+
+def gamma_loss(outputs: Tensor, errors: Tensor) -> Tensor:
+    """Return error / expected + log(expected), for outputs that are log(expected)."""
+    logs = outputs.clamp(min=LEAST_LOG_ERROR)
+    return errors * torch.exp(-logs) + logs
