@@ -1,27 +1,19 @@
 """Do robots develop as the paper says? Many seeds of the main job, on the real world.
 
-    python scripts/development.py --seeds 20 --out runs/development
+    python -m scripts.development
 
-prints, for each seed and in all, what the issue is: where the first cut was, when the robot focused
-on f3 and on f2, and how much time it lost in f1. Finished runs in the folder are not run again.
+prints, for each seed and in all, where the first cut was, when the robot focused on f3 and on f2,
+and how much time it spent in f1. Runs that are in the folder already are not run again.
 """
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
-import torch
 import tyro
 
-import torch_iac as iac
-import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.recording import Recorder
-from torch_iac.runs import load_run
-from torch_iac.training import train
-
-WORLD = "torch_iac_envs/ToyRoom-v0"
+from scripts.study import Life, live_all
+from torch_iac import IACConfig
 
 
 @dataclass(frozen=True)
@@ -38,28 +30,16 @@ class Study:
     """How many robots develop at once."""
 
 
-def develop(folder: Path, seed: int, steps: int) -> None:
-    """Let one robot develop and keep its run."""
-    if (folder / "summary.json").exists():
-        return
-    torch.set_num_threads(1)
-    env = gym.make_vec(WORLD, num_envs=1)
-    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    agent = iac.IAC(space, seeds=[seed])
-    with Recorder(folder, agent, env.metadata["zone_names"]) as recorder:
-        train(agent, env, steps, recorder)
-    env.close()
-
-
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
-    folders = [study.out / f"seed-{seed:03d}" for seed in range(study.seeds)]
-    with ProcessPoolExecutor(study.processes) as pool:
-        jobs = [pool.submit(develop, f, s, study.steps) for s, f in enumerate(folders)]
-        for job in jobs:
-            job.result()
-    robots = [load_run(folder).summary["agents"][0] for folder in folders]
-
+    runs = live_all(
+        (
+            Life(study.out / f"seed-{seed:03d}", IACConfig(), seed, study.steps)
+            for seed in range(study.seeds)
+        ),
+        study.processes,
+    )
+    robots = [run.summary["agents"][0] for run in runs]
     print("| seed | first cut | focus on f3 | focus on f2 | f1 after 1,000 | f2 after 1,000 |")
     print("|---|---|---|---|---|---|")
     for seed, robot in enumerate(robots):

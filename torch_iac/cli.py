@@ -5,7 +5,7 @@ import platform
 import sys
 from argparse import ArgumentParser
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
 from inspect import signature
@@ -20,9 +20,22 @@ from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC, PRESETS, IACConfig
-from torch_iac.drives import Drive, Progress, Random
-from torch_iac.experts import Experts, KNNExperts
+from torch_iac.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.drives import (
+    AbsoluteProgress,
+    Curriculum,
+    Drive,
+    Error,
+    GlobalProgress,
+    Improvement,
+    MetaProgress,
+    Novelty,
+    Progress,
+    Random,
+)
+from torch_iac.experts import Experts, KNNExperts, MLPExperts
 from torch_iac.figures import save_figures
+from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
 from torch_iac.space import SensorimotorSpace
@@ -30,15 +43,64 @@ from torch_iac.training import train
 
 WORLDS = {"toyroom": "torch_iac_envs/ToyRoom-v0"}
 OUTCOMES = {"toyroom": ("toy_distance",)}
-EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts}
-DRIVES: dict[str, type[Drive]] = {"progress": Progress, "random": Random}
+EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
+DRIVES: dict[str, type[Drive]] = {
+    "progress": Progress,
+    "meta_progress": MetaProgress,
+    "absolute_progress": AbsoluteProgress,
+    "global_progress": GlobalProgress,
+    "error": Error,
+    "novelty": Novelty,
+    "improvement": Improvement,
+    "curriculum": Curriculum,
+    "random": Random,
+}
+CHOICES: dict[str, type[Choice]] = {
+    "greedy": Greedy,
+    "proportional": Proportional,
+    "softmax": Softmax,
+}
+ExpertsName = Literal["knn", "mlp"]
+ChoiceName = Literal["greedy", "proportional", "softmax"]
+DriveName = Literal[
+    "progress",
+    "meta_progress",
+    "absolute_progress",
+    "global_progress",
+    "error",
+    "novelty",
+    "improvement",
+    "curriculum",
+    "random",
+]
+
 KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 """What an argument of a world may be, in words."""
 
 SEEDS = 2**32
 """Seeds lie below; every random number generator takes them."""
 
+THREADED_AGENTS = 32
+"""With fewer robots, tensors are so small that sharing work between threads costs time."""
+
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
+
+
+Plain = tyro.conf.arg(name="")
+"""The options of a part are named without the part's own name before theirs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(IACConfig):
+    """The engine's numbers, as options of the command; `Any` is what the default is."""
+
+    experts: Annotated[Any, Plain] = field(default_factory=KNNExperts)
+    """What predicts the outcome in each region."""
+    drive: Annotated[Any, Plain] = field(default_factory=Progress)
+    """What a candidate action is worth."""
+    choice: Annotated[Any, Plain] = field(default_factory=Greedy)
+    """Which candidate is taken, given what each is worth."""
+    shadows: tyro.conf.Suppress[Mapping[str, Experts]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,10 +115,16 @@ class Train:
     """Where the robots live."""
     preset: Literal["iac2004", "iac2007"] = "iac2004"
     """Which paper's numbers the options start from; they are the defaults shown here."""
-    experts: Literal["knn"] = "knn"
+    experts: ExpertsName = "knn"
     """What predicts in each region; its own options are among those below."""
-    drive: Literal["progress", "random"] = "progress"
+    shadows: tuple[ExpertsName, ...] = ()
+    """Other experts, which predict and learn on the same stream without any influence."""
+    drive: DriveName = "progress"
     """What the robot wants; its own options are among those below."""
+    choice: ChoiceName = "greedy"
+    """Which candidate action is taken, given what each is worth."""
+    mp: bool = True
+    """Whether the meta-predictor MP learns what errors to expect; some drives need it."""
     steps: int = 10_000
     """How many decisions each robot takes."""
     seed: int = 0
@@ -73,7 +141,7 @@ class Train:
     """Arguments of the world, such as beams=4 sensor_noise=0."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard."""
-    iac: Annotated[IACConfig, tyro.conf.arg(name="")] = field(default_factory=IACConfig)
+    iac: Annotated[Settings, Plain] = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every"):
@@ -84,6 +152,8 @@ class Train:
 
     def run(self, words: Sequence[str]) -> None:
         """Carry the command out; `words` are what the user typed."""
+        if self.agents < THREADED_AGENTS:
+            torch.set_num_threads(1)
         out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
         options = _options(self.world_options)
         env = _make_world(self.world, self.agents, options)
@@ -91,7 +161,7 @@ class Train:
             outcomes = self.outcomes or OUTCOMES[self.world]
             space = SensorimotorSpace.from_env(env, "all" if outcomes == ("all",) else outcomes)
             seeds = range(self.seed, self.seed + self.agents)
-            agent = IAC(space, self.iac, seeds, _device(self.device))
+            agent = IAC(space, self._iac(), seeds, _device(self.device))
             zone_names = env.metadata.get("zone_names")
             config = self._description(words, options)
             with Recorder(out, agent, zone_names, config, log_every=self.log_every) as recorder:
@@ -101,6 +171,9 @@ class Train:
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
 
+    def _iac(self) -> IACConfig:
+        return replace(self.iac, shadows={name: EXPERTS[name]() for name in self.shadows})
+
     def _description(self, words: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
         return {
             "command": list(words),
@@ -109,7 +182,7 @@ class Train:
             "steps": self.steps,
             "device": self.device,
             "preset": self.preset,
-            "iac": self.iac.to_json(),
+            "iac": self._iac().to_json(),
         }
 
 
@@ -144,7 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             command.run(["torch-iac", *arguments])
         else:
             command.run()
-    except (ValueError, OSError, gym.error.Error) as error:
+    except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
         _exit(2, _sentence(error))
     except KeyboardInterrupt as interrupt:
         _exit(130, str(interrupt) or "interrupted")
@@ -163,7 +236,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _parsed(arguments: Sequence[str]) -> Train | Figures:
-    settings = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
+    settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
         return tyro.cli(
             Train,
@@ -184,17 +257,22 @@ def _parsed(arguments: Sequence[str]) -> Train | Figures:
 
 
 def _defaults(arguments: Sequence[str]) -> Train:
-    """Return what the choice of preset, experts and drive makes of the other options."""
+    """Return what the choice of preset and of parts makes of the other options."""
     parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("preset", "experts", "drive"):
+    for name in ("preset", "experts", "drive", "choice"):
         parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
+    parser.add_argument("--no-mp", action="store_true")
     chosen = vars(parser.parse_known_args(arguments)[0])
-    iac = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
-    if chosen["experts"] in EXPERTS:
-        iac = replace(iac, experts=EXPERTS[chosen["experts"]]())
-    if chosen["drive"] in DRIVES:
-        iac = replace(iac, drive=DRIVES[chosen["drive"]]())
-    return Train(iac=iac)
+    preset = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
+    numbers = {f.name: getattr(preset, f.name) for f in fields(preset)}
+    if not chosen["no_mp"]:
+        numbers["meta"] = MetaPredictor()
+    for name, kinds in (("experts", EXPERTS), ("drive", DRIVES), ("choice", CHOICES)):
+        if chosen[name] in kinds:
+            numbers[name] = kinds[chosen[name]]()
+    if "improvement" in numbers["drive"].needs:
+        numbers["improvement"] = ImprovementPredictor()
+    return Train(iac=Settings(**numbers))
 
 
 def _make_world(

@@ -47,6 +47,8 @@ class MetaPredictor(RecentTraining):
 
     learning_rate: float = 0.003
     """Step size of the optimiser."""
+    minibatches: int = 2
+    """How many steps of the optimiser a decision."""
 
     def start(
         self, situation_dim: int, seeds: Sequence[int], device: torch.device

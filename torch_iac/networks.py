@@ -112,25 +112,27 @@ class StackedNetworks:
         self._weights = torch.empty(0, sum(self._sizes), device=device)
         self._mean = torch.empty_like(self._weights)
         self._square = torch.empty_like(self._weights)
-        self._n_steps = torch.empty(0, 1, device=device)
+        # How full the two running means are: 1 - 0.9**n and 1 - 0.999**n after n steps.
+        self._filled = torch.empty(0, 2, device=device)
+        self._rates = torch.tensor([0.1, 0.001], device=device)
 
     def reserve(self, n_rows: int) -> None:
         """Make room for `n_rows` networks."""
         self._weights = reserve(self._weights, n_rows, 0.0)
         self._mean = reserve(self._mean, n_rows, 0.0)
         self._square = reserve(self._square, n_rows, 0.0)
-        self._n_steps = reserve(self._n_steps, n_rows, 0.0)
+        self._filled = reserve(self._filled, n_rows, 0.0)
 
     def start(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Give rows `(F,)` the weights that the factory makes from each seed."""
         made = [nn.utils.parameters_to_vector(self._made(seed).parameters()) for seed in seeds]
         self._weights[rows] = torch.stack(made).detach().to(self._device)
-        for column in (self._mean, self._square, self._n_steps):
+        for column in (self._mean, self._square, self._filled):
             column[rows] = 0.0
 
     def copy(self, rows: Tensor, new_rows: Tensor) -> None:
         """Copy weights, and what the optimiser remembers, from rows `(F,)` to new rows `(F,)`."""
-        for column in (self._weights, self._mean, self._square, self._n_steps):
+        for column in (self._weights, self._mean, self._square, self._filled):
             column[new_rows] = column[rows]
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
@@ -153,7 +155,7 @@ class StackedNetworks:
             Shape `(A,)`, the loss in the last minibatch, before its step.
         """
         weights = self._weights.index_select(0, rows)
-        memory = [c.index_select(0, rows) for c in (self._mean, self._square, self._n_steps)]
+        memory = [c.index_select(0, rows) for c in (self._mean, self._square, self._filled)]
         losses = weights.new_zeros(len(rows))
         for start in range(0, inputs.shape[1], minibatch_size):
             batch = inputs.narrow(1, start, minibatch_size)
@@ -166,23 +168,23 @@ class StackedNetworks:
             losses, weights = losses.detach(), self._step(weights.detach(), gradient, *memory)
         self._weights.index_copy_(0, rows, weights)
         for column, rows_memory in zip(
-            (self._mean, self._square, self._n_steps), memory, strict=True
+            (self._mean, self._square, self._filled), memory, strict=True
         ):
             column.index_copy_(0, rows, rows_memory)
         return losses
 
     def _step(
-        self, weights: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, n_steps: Tensor
+        self, weights: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, filled: Tensor
     ) -> Tensor:
         """Return the weights after one step; what the optimiser remembers is renewed in place."""
         rate = self._training.learning_rate
         if self._training.optimizer == "sgd":
             return weights.sub_(gradient, alpha=rate)
-        n_steps += 1
+        filled.lerp_(torch.ones_like(filled), self._rates.expand_as(filled))
         mean.lerp_(gradient, 0.1)
         square.lerp_(gradient.square(), 0.001)
-        scale = (square / (1 - 0.999**n_steps)).sqrt_().add_(1e-8)
-        return weights.addcdiv_(mean / (1 - 0.9**n_steps), scale, value=-rate)
+        scale = (square / filled[:, 1:]).sqrt_().add_(1e-8)
+        return weights.addcdiv_(mean / filled[:, :1], scale, value=-rate)
 
     def _forward(self, weights: Tensor, inputs: Tensor) -> Tensor:
         parts = torch.split(weights, self._sizes, dim=1)
@@ -195,9 +197,7 @@ class StackedNetworks:
             return outputs
         for name, layer in self._layers:
             if isinstance(layer, nn.Linear):
-                inputs = torch.baddbmm(
-                    named[f"{name}.bias"][:, None], inputs, named[f"{name}.weight"].mT
-                )
+                inputs = _linear(inputs, named[f"{name}.weight"], named[f"{name}.bias"][:, None])
             else:
                 inputs = layer(inputs)
         return inputs
@@ -208,7 +208,7 @@ class StackedNetworks:
 
     def _made(self, seed: int) -> nn.Module:
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed % 2**63)  # type: ignore[no-untyped-call]
+            torch.manual_seed(seed % 2**63)
             return self._make()
 
     def _check(self, n_inputs: int, n_outputs: int) -> None:
@@ -238,6 +238,13 @@ def pick(examples: Tensor, picks: Tensor) -> Tensor:
 def squared_error(predictions: Tensor, targets: Tensor) -> Tensor:
     """Return the squared error of each number."""
     return mse_loss(predictions, targets, reduction="none")
+
+
+def _linear(inputs: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
+    """Return inputs `(A, B, n_in)` through each network's own layer, to the bit as if alone."""
+    if weights.shape[1] == 1:  # a product of matrices would round otherwise for one than for many
+        return (inputs * weights).sum(dim=2, keepdim=True) + biases
+    return torch.baddbmm(biases, inputs, weights.mT)
 
 
 def _linear_layers(module: nn.Module) -> list[tuple[str, nn.Module]] | None:

@@ -38,7 +38,7 @@ class Room:
         beam_height: Height at which the infra-red beams leave the robot, above the toy (m).
     """
 
-    side: float = 2.0
+    side: float = 1.4
     wall_height: float = 0.25
     chassis: float = 0.26
     track: float = 0.24

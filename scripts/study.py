@@ -1,0 +1,50 @@
+"""What the studies share: robots that develop in the toy room, several at once, each kept."""
+
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium as gym
+import torch
+from tqdm import tqdm
+
+import torch_iac as iac
+import torch_iac_envs  # noqa: F401 - registers the worlds
+from torch_iac.recording import Recorder
+from torch_iac.runs import Run, load_run
+from torch_iac.training import train
+
+WORLD = "torch_iac_envs/ToyRoom-v0"
+
+
+@dataclass(frozen=True)
+class Life:
+    """One robot's run: its numbers, its seed, and where it is kept."""
+
+    folder: Path
+    config: iac.IACConfig
+    seed: int
+    n_decisions: int
+
+
+def live(life: Life) -> None:
+    """Let one robot develop in the toy room, unless its run is there already."""
+    if (life.folder / "summary.json").exists():
+        return
+    torch.set_num_threads(1)
+    env = gym.make_vec(WORLD, num_envs=1)
+    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+    agent = iac.IAC(space, life.config, seeds=[life.seed])
+    described = {"iac": life.config.to_json(), "world": {"id": WORLD}}
+    with Recorder(life.folder, agent, env.metadata["zone_names"], described) as recorder:
+        train(agent, env, life.n_decisions, recorder)
+    env.close()
+
+
+def live_all(lives: Iterable[Life], processes: int) -> list[Run]:
+    """Let robots develop, some at once, and return their runs in order."""
+    lives = list(lives)
+    with ProcessPoolExecutor(processes) as pool:
+        list(tqdm(pool.map(live, lives), total=len(lives), unit="robot", disable=None))
+    return [load_run(life.folder) for life in lives]
