@@ -91,8 +91,8 @@ class Stopwatch:
 
     def last(self, n: int, *parts: str) -> np.ndarray:
         """Return the last `n` times of some parts together, in milliseconds."""
-        times = np.array([self._seconds[part][-n:] for part in parts])
-        return 1000 * times.sum(axis=0)
+        times: np.ndarray = np.sum([self._seconds[part][-n:] for part in parts], axis=0)
+        return 1000 * times
 
 
 def main(benchmark: Benchmark) -> None:

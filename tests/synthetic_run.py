@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from torch_iac.agent import RegionSummary, Step
+from torch_iac.agent import RegionSummary, ShadowStep, Step
 from torch_iac.recording import Recorder
 from torch_iac.regions import Genealogy
 from torch_iac.space import Dimension, SensorimotorSpace
@@ -49,9 +50,11 @@ def write_run(
     rows_per_part: int = 1000,
     log_every: int = 100,
     config: Mapping[str, Any] | None = None,
+    shadows: Mapping[str, float] | None = None,
+    meta: bool = False,
 ) -> Path:
-    """Record a made-up run and return its folder."""
-    population = SyntheticPopulation(n_agents, n_decisions)
+    """Record a made-up run and return its folder; its shadows as `SyntheticPopulation` has them."""
+    population = SyntheticPopulation(n_agents, n_decisions, shadows, meta)
     with Recorder(
         folder, population, zone_names, config, log_every=log_every, rows_per_part=rows_per_part
     ) as recorder:
@@ -106,13 +109,17 @@ class Robot:
             situation[SOUND] = (favourite + situation[SOUND]) / 3
         return situation, min(2, int(situation[SOUND] * 3)), random
 
-    def error(self, zone: int) -> float:
-        """Return how far off the prediction is; practice helps in f2, quickly in f3."""
+    def error(self, zone: int) -> tuple[float, float]:
+        """Return how far off the prediction is and would be on average.
+
+        Practice helps in f2, and quickly in f3.
+        """
         self.practice[zone] += 1
         scale = (0.3, 0.02 + 0.2 * np.exp(-self.practice[1] / 400), 0.01)[zone]
         if zone == 2:
             scale += 0.4 * np.exp(-self.practice[2] / 60)
-        return float(scale * abs(self.rng.standard_normal()))
+        mean = float(scale * np.sqrt(2 / np.pi))
+        return float(scale * abs(self.rng.standard_normal())), mean
 
     def route(self, situation: NDArray[np.float64]) -> int:
         number = 0
@@ -145,12 +152,27 @@ class Robot:
 
 
 class SyntheticPopulation:
-    """Some robots; what a recorder asks of an agent, and decisions to record."""
+    """Some robots; what a recorder asks of an agent, and decisions to record.
 
-    def __init__(self, n_agents: int, n_decisions: int) -> None:
+    Args:
+        n_agents: How many robots.
+        n_decisions: How long they live.
+        shadows: How many times the error of the experts that of each shadow is.
+        meta: Whether there is an MP; it expects the very mean of the errors.
+    """
+
+    def __init__(
+        self,
+        n_agents: int,
+        n_decisions: int,
+        shadows: Mapping[str, float] | None = None,
+        meta: bool = False,
+    ) -> None:
         self.space = SPACE
         self.seeds = tuple(range(100, 100 + n_agents))
         self.n_decisions = n_decisions
+        self.shadows = dict(shadows or {})
+        self.meta = meta
         self.robots = [Robot(np.random.default_rng(seed)) for seed in self.seeds]
         self.number = 0
 
@@ -160,13 +182,15 @@ class SyntheticPopulation:
         zones = np.array([zone for _, zone, _ in chosen])
         numbers = [r.route(s) for r, (s, _, _) in zip(self.robots, chosen, strict=True)]
         progress = [r.regions[n].progress for r, n in zip(self.robots, numbers, strict=True)]
-        errors = [r.error(zone) for r, zone in zip(self.robots, zones, strict=True)]
+        drawn = [r.error(zone) for r, zone in zip(self.robots, zones, strict=True)]
+        errors, expected = [error for error, _ in drawn], [mean for _, mean in drawn]
         for robot, number, error in zip(self.robots, numbers, errors, strict=True):
             robot.learn(number, error, self.number)
         step = self._step(np.array([situation for situation, _, _ in chosen]), errors)
         step = Step(
             **vars(step)
             | {
+                "expected_errors": torch.tensor(expected) if self.meta else None,
                 "regions": torch.tensor(numbers),
                 "progress": torch.tensor(progress, dtype=torch.float64),
                 "random_actions": torch.tensor([random for _, _, random in chosen]),
@@ -180,18 +204,25 @@ class SyntheticPopulation:
         error = torch.tensor(errors, dtype=torch.float64)
         none = torch.zeros(len(errors))
         outcomes = raw[:, 3:].clone()
-        predictions = (outcomes + 5 * error[:, None]).float()
+
+        def predictions(error: Tensor) -> Tensor:
+            return (outcomes + 5 * error[:, None]).float()
+
         return Step(
             self.number,
             raw[:, :2],
             raw[:, 2:],
             outcomes,
-            predictions,
+            predictions(error),
             error,
             None,
             none,
             none,
             none,
+            tuple(
+                ShadowStep(name, predictions(times * error), times * error)
+                for name, times in self.shadows.items()
+            ),
         )
 
     def genealogy(self) -> Genealogy:

@@ -1,18 +1,60 @@
 """The engine against the paper's oracle, alone and in a population, and against bad input."""
 
-from dataclasses import replace
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor, nn
 
 from tests.agreement import check_step, oracle_of, scaled
-from torch_iac import IAC, PRESETS, Dimension, IACConfig, KNNExperts, SensorimotorSpace, Step
-from torch_iac.drives import Random
+from torch_iac import (
+    IAC,
+    MLP,
+    PRESETS,
+    AbsoluteProgress,
+    Choice,
+    Curriculum,
+    Dimension,
+    Drive,
+    Error,
+    Examples,
+    Experts,
+    GlobalProgress,
+    Greedy,
+    IACConfig,
+    Improvement,
+    ImprovementPredictor,
+    KNNExperts,
+    MetaPredictor,
+    MetaProgress,
+    MLPExperts,
+    NetworkExperts,
+    Novelty,
+    Progress,
+    Proportional,
+    Random,
+    SensorimotorSpace,
+    Softmax,
+    Split,
+    Stage,
+    Step,
+)
 
 SMALL = IACConfig(n_candidates=5, max_examples=20, window=8, delay=8)
 """Splits often, so that a short run shows much."""
+
+LEARNERS = replace(
+    SMALL,
+    experts=MLPExperts(hidden=(8,), minibatches=1),
+    meta=MetaPredictor(hidden=(8,), minibatches=1),
+    improvement=ImprovementPredictor(hidden=(8,), minibatches=1),
+)
+"""Everything learns, and little, so that it is fast."""
 
 
 class Pendulum:
@@ -80,18 +122,40 @@ def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
         check_step(space, robot, agent.observe(sensors))
 
 
-@pytest.mark.parametrize("config", [SMALL, replace(SMALL, experts=KNNExperts(k=3))])
+def assert_same(one: Step, other: Step, agent: int, other_agent: int) -> None:
+    """One agent's decision is another's, to the bit."""
+    for name, value in vars(one).items():
+        if isinstance(value, Tensor):
+            assert torch.equal(value[agent], getattr(other, name)[other_agent]), name
+        elif name != "shadows":
+            assert value == getattr(other, name), name
+
+
+@pytest.mark.parametrize(
+    ("config", "n_decisions"),
+    [
+        (SMALL, 300),
+        (replace(SMALL, experts=KNNExperts(k=3)), 300),
+        (replace(SMALL, experts=MLPExperts()), 60),
+        (
+            replace(SMALL, experts=MLPExperts(hidden=(8,), children="fresh", fresh_minibatches=5)),
+            60,
+        ),
+        (replace(SMALL, meta=MetaPredictor(), drive=MetaProgress()), 60),
+        (replace(LEARNERS, drive=Improvement(), choice=Softmax()), 150),
+        (replace(LEARNERS, drive=GlobalProgress(), choice=Proportional()), 150),
+    ],
+    ids=["1-nn", "3-nn", "MLPs", "fresh MLPs", "MP", "improvement", "global"],
+)
 def test_an_agent_of_a_population_has_the_run_that_it_has_alone(
-    space: SensorimotorSpace, config: IACConfig
+    space: SensorimotorSpace, config: IACConfig, n_decisions: int
 ) -> None:
-    seeds = list(range(64))
-    together = live(IAC(space, config, seeds), 300)
-    for agent in (0, 1, 17, 63):
-        alone = live(IAC(space, config, [seeds[agent]]), 300)
+    seeds = list(range(40))
+    together = live(IAC(space, config, seeds), n_decisions)
+    for agent in (0, 1, 17, 39):
+        alone = live(IAC(space, config, [seeds[agent]]), n_decisions)
         for one, of_many in zip(alone, together, strict=True):
-            for name, value in vars(one).items():
-                if isinstance(value, torch.Tensor):
-                    assert torch.equal(value[0], getattr(of_many, name)[agent]), name
+            assert_same(one, of_many, 0, agent)
 
 
 def test_every_example_lies_in_the_region_that_routing_returns(space: SensorimotorSpace) -> None:
@@ -133,6 +197,247 @@ def test_without_a_drive_actions_are_uniform(space: SensorimotorSpace) -> None:
     actions = torch.cat([step.actions for step in steps])
     assert actions.mean(dim=0).tolist() == pytest.approx([0.0, 5.0], abs=0.25)
     assert actions.std(dim=0).tolist() == pytest.approx([2 / 12**0.5, 10 / 12**0.5], rel=0.05)
+
+
+DRIVES = [
+    Progress(),
+    MetaProgress(),
+    AbsoluteProgress(),
+    GlobalProgress(),
+    Error(),
+    Error("meta"),
+    Novelty(),
+    Improvement(),
+    Curriculum((Stage("tone", 2.0, 5.0, until=20), Stage("push", -1.0, 0.5, until=0))),
+    Random(),
+]
+
+
+@pytest.mark.parametrize("choice", [Greedy(), Proportional(), Softmax()], ids=repr)
+@pytest.mark.parametrize("drive", DRIVES, ids=lambda drive: type(drive).__name__)
+def test_every_drive_lives_with_every_choice_and_lives_the_same_again(
+    space: SensorimotorSpace, drive: Drive, choice: Choice
+) -> None:
+    config = replace(LEARNERS, drive=drive, choice=choice)
+    run, again = (live(IAC(space, config, [3]), 60) for _ in range(2))
+    for one, other in zip(run, again, strict=True):
+        assert_same(one, other, 0, 0)
+    assert all(step.errors.isfinite().all() for step in run)
+    assert run[-1].regions.max() > 0
+
+
+def test_a_curriculum_is_followed(space: SensorimotorSpace) -> None:
+    drive = Curriculum((Stage("tone", 2.0, 5.0, until=40), Stage("push", 0.0, 1.0, until=0)))
+    config = replace(SMALL, drive=drive, epsilon=0.0, n_candidates=50)
+    actions = torch.stack([step.actions for step in live(IAC(space, config, [0, 1]), 80)])
+    first, then = actions[:40, :, 1], actions[40:, :, 0]
+    assert ((first > 2) & (first <= 5)).all()
+    assert (then > 0).all()
+
+
+def test_what_mp_expects_is_recorded_before_it_learns(space: SensorimotorSpace) -> None:
+    agent = IAC(space, replace(SMALL, meta=MetaPredictor()), [0, 1])
+    world = Pendulum([0, 1])
+    sensors = world.reset()
+    assert agent.meta is not None
+    for number in range(40):
+        sensors = world.step(agent.act(sensors))
+        decision = agent._decision
+        assert decision is not None
+        before = agent.meta.expect(decision.situations[:, None])[:, 0]
+        step = agent.observe(sensors)
+        after = agent.meta.expect(decision.situations[:, None])[:, 0]
+        assert step.expected_errors is not None
+        assert torch.equal(step.expected_errors, before)
+        if number > 20:  # MP begins with the largest error there is and comes down from it
+            assert not torch.equal(step.expected_errors, after)
+
+
+def test_without_mp_no_error_is_expected_and_mp_changes_no_decision(
+    space: SensorimotorSpace,
+) -> None:
+    without, with_mp = (
+        live(IAC(space, replace(SMALL, meta=meta), [0]), 100) for meta in (None, MetaPredictor())
+    )
+    for one, other in zip(without, with_mp, strict=True):
+        assert one.expected_errors is None
+        assert_same(one, replace(other, expected_errors=None), 0, 0)
+
+
+@pytest.mark.parametrize("experts", [KNNExperts(), MLPExperts(hidden=(8,), minibatches=2)])
+def test_shadows_look_on_and_change_nothing(space: SensorimotorSpace, experts: Experts) -> None:
+    config = replace(SMALL, experts=experts)
+    shadows: dict[str, Experts] = {"mlp": MLPExperts(), "knn3": KNNExperts(3), "same": experts}
+    without = live(IAC(space, config, [0, 1]), 120)
+    shadowed = live(IAC(space, replace(config, shadows=shadows), [0, 1]), 120)
+    others = [live(IAC(space, replace(config, shadows={"knn3": KNNExperts(3)}), [0, 1]), 120)]
+    for one, other in zip(without, shadowed, strict=True):
+        for agent in (0, 1):
+            assert_same(one, other, agent, agent)
+        assert one.shadows == ()
+        assert [shadow.name for shadow in other.shadows] == list(shadows)
+        same = other.shadows[2]
+        assert torch.equal(same.predictions, other.predictions)
+        assert torch.equal(same.errors, other.errors)
+    for step, other in zip(shadowed, others[0], strict=True):  # nor do they heed one another
+        assert torch.equal(step.shadows[1].predictions, other.shadows[0].predictions)
+    assert shadowed[-1].regions.min() > 0
+
+
+def test_a_shadow_predicts_as_it_would_in_regions_made_for_it(space: SensorimotorSpace) -> None:
+    """C2 and a random drive do not heed predictions: as main experts it lives the same run."""
+    config = replace(SMALL, drive=Random())
+    shadowed = live(IAC(space, replace(config, shadows={"mlp": MLPExperts()}), [0]), 60)
+    main = live(IAC(space, replace(config, experts=MLPExperts()), [0]), 60)
+    for step, alone in zip(shadowed, main, strict=True):
+        assert torch.equal(step.actions, alone.actions)
+        assert torch.equal(step.shadows[0].predictions, alone.predictions)
+        assert torch.equal(step.shadows[0].errors, alone.errors)
+
+
+@dataclass(frozen=True)
+class Cracked(KNNExperts):
+    """Nearest neighbours whose loss breaks at a decision, for one agent."""
+
+    loss: float = math.nan
+    agent: int = 1
+    decision: int = 30
+
+    def learn(  # type: ignore[override]
+        self,
+        examples: Examples,
+        rows: Tensor,
+        step: int,  # noqa: ARG002
+    ) -> Tensor:
+        losses = torch.zeros(len(rows))
+        if step == self.decision:
+            losses[self.agent] = self.loss
+        return losses
+
+
+@pytest.mark.parametrize("loss", [math.nan, math.inf])
+@pytest.mark.parametrize("as_shadow", [False, True])
+def test_a_loss_that_is_not_finite_is_named(
+    space: SensorimotorSpace, loss: float, as_shadow: bool
+) -> None:
+    region = live(IAC(space, SMALL, [0, 1, 2]), 31)[30].regions[1].item()
+    assert region > 0
+    cracked = Cracked(loss=loss)
+    part: dict[str, Any] = {"shadows": {"cracked": cracked}} if as_shadow else {"experts": cracked}
+    agent = IAC(space, replace(SMALL, **part), [0, 1, 2])
+    message = f"a loss must be finite, got {loss} in region {region} of agent 1 at decision 30"
+    with pytest.raises(FloatingPointError, match=message):
+        live(agent, 60)
+
+
+class Breaking(nn.Module):
+    """A layer that answers NaN from its 60th call on."""
+
+    def __init__(self, n_inputs: int, n_outputs: int) -> None:
+        super().__init__()
+        self.layer, self.n_calls = nn.Linear(n_inputs, n_outputs), 0
+
+    def forward(self, situations: Tensor) -> Tensor:
+        self.n_calls += 1
+        outputs: Tensor = self.layer(situations)
+        return outputs * math.nan if self.n_calls >= 60 else outputs
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"experts": NetworkExperts(module=Breaking)},
+        {"experts": MLPExperts(learning_rate=1e30, optimizer="sgd")},
+        {"experts": MLPExperts(learning_rate=1e38)},
+        {"meta": MetaPredictor(learning_rate=1e30, optimizer="sgd")},
+        {"improvement": ImprovementPredictor(learning_rate=1e30)},
+    ],
+    ids=["module", "experts by SGD", "experts by Adam", "MP", "improvement"],
+)
+def test_learning_that_explodes_is_stopped(space: SensorimotorSpace, part: dict[str, Any]) -> None:
+    message = r"a loss must be finite, got (nan|inf) in region 0 of agent 0 at decision \d+$"
+    with pytest.raises(FloatingPointError, match=message):
+        live(IAC(space, replace(SMALL, **part), [0]), 20)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A user's experts: always the same answer, and a note of what splits."""
+
+    answer: float = 0.25
+
+    def pool(
+        self,
+        situation_dim: int,  # noqa: ARG002
+        outcome_dim: int,
+        seeds: Sequence[int],  # noqa: ARG002
+        device: torch.device,  # noqa: ARG002
+    ) -> "ConstantPool":
+        return ConstantPool(self.answer, outcome_dim)
+
+
+class ConstantPool:
+    def __init__(self, answer: float, outcome_dim: int) -> None:
+        self.answer, self.outcome_dim, self.n_splits = answer, outcome_dim, 0
+
+    def predict(self, examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:  # noqa: ARG002
+        return torch.full((len(rows), self.outcome_dim), self.answer)
+
+    def learn(self, examples: Examples, rows: Tensor, step: int) -> None:
+        """Learn nothing."""
+
+    def split(self, examples: Examples, split: Split) -> None:  # noqa: ARG002
+        self.n_splits += len(split.rows)
+
+
+def test_experts_of_ones_own_need_no_more_than_the_protocol(space: SensorimotorSpace) -> None:
+    assert isinstance(Constant(), Experts)
+    agent = IAC(space, replace(SMALL, experts=Constant()), [0, 1])
+    for step in live(agent, 60):
+        assert step.predictions.tolist() == [[0.0], [0.0]]  # a quarter of the way from -1 to 3
+        expected = (step.outcomes / 4).abs()[:, 0].tolist()
+        assert step.errors.tolist() == pytest.approx(expected, abs=1e-6)
+    assert isinstance(agent.experts, ConstantPool)
+    assert agent.experts.n_splits == (agent.genealogy().split_step >= 0).sum() > 2
+
+
+def test_a_config_as_json_holds_every_number() -> None:
+    config = replace(LEARNERS, drive=Curriculum(), choice=Softmax(0.5), shadows={"knn": Constant()})
+    written = config.to_json()
+    assert written.keys() == {f.name for f in fields(IACConfig)}
+    assert json.loads(json.dumps(written)) == written
+    assert written["experts"] == {
+        "kind": "MLPExperts",
+        **{f.name: getattr(config.experts, f.name) for f in fields(MLPExperts)},
+        "hidden": [8],
+    }
+    assert config.meta is not None
+    assert written["meta"].keys() == {"kind"} | {f.name for f in fields(config.meta)}
+    assert written["drive"]["stages"][0] == {
+        "kind": "Stage",
+        "dimension": "sound",
+        "low": 2 / 3,
+        "high": 1.0,
+        "until": 1000,
+    }
+    assert written["choice"] == {"kind": "Softmax", "temperature": 0.5}
+    assert written["shadows"] == {"knn": {"kind": "Constant", "answer": 0.25}}
+    assert (written["window"], written["inherit_history"]) == (8, True)
+    assert SMALL.to_json()["meta"] is None
+
+
+@pytest.mark.parametrize(
+    ("factory", "written"),
+    [
+        (MLP((4, 5)), {"kind": "MLP", "hidden": [4, 5]}),
+        (Breaking, f"{__name__}.Breaking"),
+        (nn.Linear, "torch.nn.modules.linear.Linear"),
+    ],
+)
+def test_a_users_module_is_written_by_its_name(factory: Any, written: Any) -> None:
+    config = IACConfig(experts=NetworkExperts(module=factory))
+    assert config.to_json()["experts"]["module"] == written
+    json.dumps(config.to_json())
 
 
 def test_tensors_are_answered_with_tensors(space: SensorimotorSpace) -> None:

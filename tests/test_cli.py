@@ -11,15 +11,25 @@ import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from unittest import mock
 
 import pyarrow.parquet as pq
 import pytest
 import torch
 
-from torch_iac import PRESETS, IACConfig, KNNExperts, Step
-from torch_iac.cli import main
+from torch_iac import (
+    PRESETS,
+    Error,
+    IACConfig,
+    ImprovementPredictor,
+    KNNExperts,
+    MetaPredictor,
+    MLPExperts,
+    Softmax,
+    Step,
+)
+from torch_iac.cli import DRIVES, DriveName, main
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
 
@@ -108,7 +118,7 @@ def test_a_config_says_how_to_run_it_again(run: Run) -> None:
         "id": "torch_iac_envs/ToyRoom-v0",
         "options": {},
     }
-    assert config["iac"] == IACConfig().to_json()
+    assert config["iac"] == IACConfig(meta=MetaPredictor()).to_json()
     assert (config["preset"], config["steps"], config["seeds"]) == ("iac2004", 300, [0])
     assert set(config["versions"]) >= {"python", "torch_iac", "torch", "pybullet"}
     assert list(config["space"]["sensors"]) == SENSORS
@@ -128,17 +138,43 @@ def test_the_report_tells_what_happened_and_where_to_look(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_is_where_options_start_from(tmp_path: Path, preset: str) -> None:
-    run = train(tmp_path / "a", "--preset", preset)
+    run = train(tmp_path / "a", "--preset", preset, "--no-mp")
     assert run.config["iac"] == PRESETS[preset].to_json()
 
 
 def test_options_override_the_preset_wherever_they_stand(tmp_path: Path) -> None:
-    words = "--epsilon 0.5 --k 3 --preset iac2007 --delay=7 --no-inherit-history --drive random"
+    words = "--epsilon 0.5 --k 3 --preset iac2007 --delay=7 --no-inherit-history --no-mp"
     run = train(tmp_path / "a", *words.split())
     expected = replace(
         PRESETS["iac2007"], epsilon=0.5, delay=7, inherit_history=False, experts=KNNExperts(k=3)
     )
-    assert run.config["iac"] == {**expected.to_json(), "drive": {"kind": "Random"}}
+    assert run.config["iac"] == expected.to_json()
+
+
+@pytest.mark.parametrize("drive", get_args(DriveName))
+def test_every_drive_can_be_chosen(tmp_path: Path, drive: str) -> None:
+    run = train(tmp_path / "a", "--drive", drive, steps=60)
+    assert (
+        run.config["iac"]["drive"]
+        == IACConfig(
+            drive=DRIVES[drive](), meta=MetaPredictor(), improvement=ImprovementPredictor()
+        ).to_json()["drive"]
+    )
+
+
+def test_parts_have_options_of_their_own(tmp_path: Path) -> None:
+    words = "--experts mlp --hidden 8 --shadows knn mlp --drive error --source meta"
+    more = "--choice softmax --temperature 0.5 --meta.memory 50"
+    run = train(tmp_path / "a", *words.split(), *more.split(), steps=60)
+    expected = IACConfig(
+        experts=MLPExperts(hidden=(8,)),
+        shadows={"knn": KNNExperts(), "mlp": MLPExperts()},
+        drive=Error(source="meta"),
+        choice=Softmax(temperature=0.5),
+        meta=MetaPredictor(memory=50),
+    )
+    assert run.config["iac"] == expected.to_json()
+    assert run.shadow_names == ("knn", "mlp")
 
 
 def test_a_world_has_the_options_that_it_is_given(tmp_path: Path) -> None:
@@ -201,7 +237,8 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
         path.unlink()
     answer = typed("figures", folder, "--pdf")
     assert (answer.code, answer.err) == (0, "")
-    names = ["experts.png", "experts.pdf", "zones.png", "zones.pdf"]
+    figures = ("experts", "zones", "calibration")
+    names = [f"{figure}.{kind}" for figure in figures for kind in ("png", "pdf")]
     assert answer.out.splitlines() == [str(folder / "figures" / name) for name in names]
     assert all((folder / "figures" / name).stat().st_size for name in names)
 
@@ -242,6 +279,9 @@ BAD_VALUES = [
     ("--epsilon 1.3", "epsilon must lie in [0, 1], got 1.3"),
     ("--balance 0.6", "balance must lie in [0, 0.5], got 0.6"),
     ("--max-examples 1", "max_examples must be at least 2, got 1"),
+    ("--k 0", "k must be at least 1, got 0"),
+    ("--experts mlp --hidden 0", "hidden must be at least 1 unit a layer, got (0,)"),
+    ("--no-mp --drive global_progress", "meta must be on for the drive GlobalProgress, got None"),
     ("--outcomes toy_smell", f"outcomes must be sensors ({', '.join(SENSORS)}), got toy_smell"),
     ("--world-options beams", "world options must be written name=value, got beams"),
     (
@@ -276,8 +316,8 @@ BAD_OPTIONS = [
     ("--steps ten", "Error parsing --steps: invalid literal for int() with base 10: 'ten'"),
     ("--agents 0", "agents must be at least 1, got 0"),
     ("--log-every 0", "log_every must be at least 1, got 0"),
+    ("--meta.memory 0", "memory must be at least 1, got 0"),
     ("--seed -1", "seed must lie in [0, 4294967296), got -1"),
-    ("--k 0", "k must be at least 1, got 0"),
 ]
 
 

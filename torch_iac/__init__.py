@@ -1,7 +1,8 @@
 """Intelligent Adaptive Curiosity in PyTorch: robots that seek what they learn fastest."""
 
-from torch_iac.agent import IAC, PRESETS, IACConfig, RegionSummary, ShadowStep, Step
+from torch_iac.agent import IAC, RegionSummary, ShadowStep, Step
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives import (
     AbsoluteProgress,
     Candidates,

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import torch
 from torch import Tensor
 
 
@@ -39,7 +40,7 @@ class Proportional:
 
     P(a) = max(worth(a), 0) / sum of the same over all candidates
 
-    and uniform where nothing is worth more than 0.
+    and uniform where nothing is worth more than 0, or among those of infinite worth.
 
     Source: Baranes and Oudeyer (2013), who choose regions so, by absolute progress.
     """
@@ -47,7 +48,7 @@ class Proportional:
     def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
         """Return which candidate each agent takes, shape `(A,)`."""
         weights = worth.clamp(min=0.0)
-        return _sample(weights + (weights.sum(dim=1, keepdim=True) == 0), numbers)
+        return _sample(worth, weights + (weights.sum(dim=1, keepdim=True) == 0), numbers)
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Softmax:
     """A candidate with a probability that grows exponentially with what it is worth.
 
     P(a) = exp(worth(a) / temperature) / sum of the same over all candidates
+
+    and uniform among those of infinite worth.
 
     Source: the usual rule of reinforcement learning, which the 2004 paper leaves open.
     """
@@ -68,11 +71,13 @@ class Softmax:
 
     def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
         """Return which candidate each agent takes, shape `(A,)`."""
-        return _sample((worth / self.temperature).softmax(dim=1), numbers)
+        return _sample(worth, (worth / self.temperature).softmax(dim=1), numbers)
 
 
-def _sample(weights: Tensor, numbers: Tensor) -> Tensor:
-    """Return, for each row of weights `(A, C)`, a place drawn in proportion to them."""
+def _sample(worth: Tensor, weights: Tensor, numbers: Tensor) -> Tensor:
+    """Return, for each row, a place drawn in proportion to the weights or among infinite worth."""
+    infinite = worth == math.inf
+    weights = torch.where(infinite.any(dim=1, keepdim=True), infinite.double(), weights)
     sums = weights.cumsum(dim=1)
     marks = numbers[:, None] * sums[:, -1:]
     return (sums <= marks).sum(dim=1).clamp_(max=weights.shape[1] - 1)

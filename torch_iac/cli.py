@@ -19,8 +19,9 @@ import tyro
 from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.agent import IAC, PRESETS, IACConfig
+from torch_iac.agent import IAC
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives import (
     AbsoluteProgress,
     Curriculum,

@@ -4,6 +4,7 @@ Shapes: `A` agents, `T` decisions.
 """
 
 import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,14 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary, SummaryMetadata
 from torch.utils.tensorboard import FileWriter
 from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.agent import RegionSummary
 from torch_iac.regions import NONE, Genealogy
+from torch_iac.runs import by_decile, shadow_error
 
 N_REGIONS_SHOWN = 200
 """TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
@@ -33,13 +35,26 @@ N_TOP = 5
 """How many of the regions with most progress are followed by rank."""
 
 LOGS_PER_PICTURE = 10
-"""The histogram and the map are drawn every so many logs: they cost more than numbers."""
+"""The histogram, the map and MP's calibration come every so many logs: they cost more than numbers.
+"""
 
 MAP_COLUMNS = 256
 """How many moments the map holds; when it is full, every other one is dropped."""
 
 MAP_PIXELS = (384, 640)
 """Height and width of the map."""
+
+N_CALIBRATED = 1000
+"""Over how many of the last decisions of an agent the picture of MP's calibration goes."""
+
+N_AGENTS_CALIBRATED = 64
+"""It goes over so many agents, the first."""
+
+CALIBRATION_PIXELS = 320
+"""Its height and its width."""
+
+LEAST_ERROR = 1e-6
+"""It shows smaller errors at its lower end, since it has logarithmic axes."""
 
 DESCRIPTIONS = {
     "progress/mean": "Mean learning progress of the regions that predicted the last decisions, "
@@ -51,6 +66,9 @@ DESCRIPTIONS = {
     "ancestors. Red: errors fall, blue: errors grow.",
     "error/mean": "Mean prediction error of the last decisions, over all agents, in scaled units.",
     "error/expected": "What the meta-predictor expected it to be.",
+    "calibration/deciles": "Of the last decisions, those with the lowest tenth of the errors that "
+    "the meta-predictor expected, the next tenth and so on: what it expected on average, and what "
+    "the error was. A calibrated one keeps to the diagonal.",
     "regions/number": "How many regions an agent's cube is in, mean over all agents.",
 }
 
@@ -65,14 +83,21 @@ class Dashboard:
         folder: Where to write.
         n_agents: How many agents there are.
         zone_names: The names of the world's zones; none if it has no zones.
+        shadows: The names of the experts that only look on.
     """
 
-    def __init__(self, folder: Path, n_agents: int, zone_names: Sequence[str]) -> None:
+    def __init__(
+        self, folder: Path, n_agents: int, zone_names: Sequence[str], shadows: Sequence[str] = ()
+    ) -> None:
         self._n_agents, self._zone_names = n_agents, zone_names
-        self._window = _Window(len(zone_names))
+        self._tags = WINDOW_TAGS | {shadow_error(name): f"error/{name}" for name in shadows}
+        self._window = _Window(self._tags, len(zone_names))
+        self._calibration = _Calibration()
         self._map = _ProgressMap()
         self._n_logs = 0
-        self._undescribed = dict(DESCRIPTIONS)
+        self._undescribed = DESCRIPTIONS | {
+            f"error/{name}": f"Mean prediction error of the shadow {name}." for name in shadows
+        }
         self._writer = FileWriter(str(folder))
         layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
         self._writer.add_summary(layout)
@@ -85,6 +110,7 @@ class Dashboard:
                 has any.
         """
         self._window.add(columns)
+        self._calibration.add(columns)
 
     def log(
         self, n_decisions: int, regions: RegionSummary, genealogy: Callable[[], Genealogy]
@@ -98,7 +124,7 @@ class Dashboard:
         """
         own = regions.agent.numpy() == 0
         scalars = self._window.means(self._zone_names)
-        self._window = _Window(len(self._zone_names))
+        self._window = _Window(self._tags, len(self._zone_names))
         scalars |= _over_agents(regions, self._n_agents)
         scalars |= _top(regions.progress.numpy()[own]) | _by_region(regions, own)
         values = [self._value(tag, simple_value=value) for tag, value in scalars.items()]
@@ -108,6 +134,9 @@ class Dashboard:
             histogram = _histogram(regions.progress.numpy())
             values.append(self._value("progress/regions", histo=histogram))
             values.append(self._value("progress/map", image=self._map.draw(genealogy())))
+            if self._calibration.is_known:
+                picture = self._calibration.draw()
+                values.append(self._value("calibration/deciles", image=picture))
         self._writer.add_summary(Summary(value=values), n_decisions)
 
     def flush(self) -> None:
@@ -128,28 +157,71 @@ class Dashboard:
 
 
 class _Window:
-    """Sums over the decisions since the last log."""
+    """Sums over the decisions since the last log.
 
-    def __init__(self, n_zones: int) -> None:
-        self._sums = dict.fromkeys(WINDOW_TAGS, 0.0)
+    Args:
+        tags: The fields whose means are logged, and where.
+        n_zones: How many zones the world has.
+    """
+
+    def __init__(self, tags: Mapping[str, str], n_zones: int) -> None:
+        self._tags = tags
+        self._sums = dict.fromkeys(tags, 0.0)
         self._zone_counts = np.zeros(n_zones, np.int64)
+        self._zone_sums = {"expected_errors": np.zeros(n_zones), "errors": np.zeros(n_zones)}
         self._n_rows = 0
 
     def add(self, columns: Mapping[str, NDArray[Any]]) -> None:
         """Count in some decisions."""
         for field in self._sums:
             self._sums[field] += float(columns[field].sum(dtype=np.float64))
-        if "zones" in columns:
-            zones = columns["zones"].ravel()
-            self._zone_counts += np.bincount(zones, minlength=len(self._zone_counts))
         self._n_rows += columns["errors"].size
+        if "zones" in columns:
+            zones, n_zones = columns["zones"].ravel(), len(self._zone_counts)
+            self._zone_counts += np.bincount(zones, minlength=n_zones)
+            if np.isfinite(self._sums["expected_errors"]):
+                for field, sums in self._zone_sums.items():
+                    sums += np.bincount(zones, columns[field].ravel(), n_zones)
 
     def means(self, zone_names: Sequence[str]) -> dict[str, float]:
         """Return the means, as far as there are any, and the share of each zone."""
-        means = {WINDOW_TAGS[field]: total / self._n_rows for field, total in self._sums.items()}
-        shares = (self._zone_counts / self._n_rows).tolist()
-        known = {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
-        return known | {f"zones/{z}": share for z, share in zip(zone_names, shares, strict=True)}
+        means = {tag: self._sums[field] / self._n_rows for field, tag in self._tags.items()}
+        for zone, name in enumerate(zone_names):
+            n_rows = int(self._zone_counts[zone])
+            means[f"zones/{name}"] = n_rows / self._n_rows
+            if n_rows and np.isfinite(self._sums["expected_errors"]):
+                for field, kind in (("expected_errors", "expected"), ("errors", "actual")):
+                    total = float(self._zone_sums[field][zone])
+                    means[f"calibration/{name}/{kind}"] = total / n_rows
+        return {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
+
+
+class _Calibration:
+    """What MP expected of the last decisions of the first agents, and what came of them."""
+
+    def __init__(self) -> None:
+        self._expected, self._actual = np.empty((0, 0)), np.empty((0, 0))
+
+    @property
+    def is_known(self) -> bool:
+        return bool(self._expected.size)
+
+    def add(self, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Keep some decisions, if there is an MP."""
+        expected = columns["expected_errors"][-N_CALIBRATED:, :N_AGENTS_CALIBRATED]
+        if np.isnan(expected).all():
+            return
+        actual = columns["errors"][-N_CALIBRATED:, :N_AGENTS_CALIBRATED]
+        kept = slice(-N_CALIBRATED, None)
+        if self.is_known:
+            expected = np.concatenate([self._expected, expected])[kept]
+            actual = np.concatenate([self._actual, actual])[kept]
+        # Copies, since the columns are reused.
+        self._expected, self._actual = expected.copy(), actual.copy()
+
+    def draw(self) -> Summary.Image:
+        """Return a picture of the mean error by decile of the expectation."""
+        return _decile_picture(np.stack(by_decile(self._expected, self._actual)))
 
 
 def _over_agents(regions: RegionSummary, n_agents: int) -> dict[str, float]:
@@ -237,11 +309,44 @@ def _image(progress: NDArray[np.float64]) -> Summary.Image:
     shades = np.round(127.5 + 127.5 * progress / scale).astype(np.uint8)
     picture = Image.fromarray(shades[np.ix_(rows, columns)])
     picture.putpalette(mpl.colormaps["RdBu_r"](np.arange(256), bytes=True)[:, :3].tobytes())
+    return _png(picture)
+
+
+def _decile_picture(deciles: NDArray[np.float64]) -> Summary.Image:
+    """Return expected and actual errors, shape `(2, 10)`, as a curve on logarithmic axes."""
+    powers = np.log10(np.maximum(deciles, LEAST_ERROR))
+    powers = powers[:, np.isfinite(powers).all(axis=0)]
+    low, high = math.floor(powers.min()), math.floor(powers.max()) + 1
+    size, margin = CALIBRATION_PIXELS, CALIBRATION_PIXELS // 8
+    scale = (size - 1.5 * margin) / (high - low)
+    start, end = margin, size - margin // 2  # from left to right; upside down from bottom to top
+    picture = Image.new("RGB", (size, size), "white")
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(11)
+    for power in range(low, high + 1):
+        at, label = margin + (power - low) * scale, f"{10.0**power:g}"
+        pen.line([(at, size - start), (at, size - end)], "#DDDDDD")
+        pen.line([(start, size - at), (end, size - at)], "#DDDDDD")
+        pen.text((at, size - start + 4), label, "black", font, "ma")
+        pen.text((start - 4, size - at), label, "black", font, "rm")
+    pen.line([(start, size - start), (end, size - end)], "#999999", 2)
+    pen.text((end, size - 4), "expected error", "black", font, "rd")
+    pen.text((start, size - end - 4), "actual error", "black", font, "ld")
+    expected, actual = margin + (powers - low) * scale
+    points = list(zip(expected.tolist(), (size - actual).tolist(), strict=True))
+    pen.line(points, "#0072B2", 2)
+    for x, y in points:
+        pen.ellipse([x - 4, y - 4, x + 4, y + 4], "#0072B2")
+    return _png(picture)
+
+
+def _png(picture: Image.Image) -> Summary.Image:
     png = io.BytesIO()
     picture.save(png, format="png", compress_level=1)
-    height, width = MAP_PIXELS
     return Summary.Image(
-        height=height, width=width, colorspace=3, encoded_image_string=png.getvalue()
+        height=picture.height,
+        width=picture.width,
+        colorspace=3,
+        encoded_image_string=png.getvalue(),
     )
 
 
@@ -259,11 +364,11 @@ def _histogram(values: NDArray[np.float64]) -> HistogramProto:
 
 
 def _layout(zone_names: Sequence[str]) -> dict[str, dict[str, tuple[str, list[str]]]]:
-    """Return the charts of TensorBoard's page of custom scalars."""
+    """Return the charts of TensorBoard's page of custom scalars; tags are regular expressions."""
     charts = {
         "Share of time in each zone": [f"zones/{name}" for name in zone_names],
         "Learning progress of the best regions": [f"top_progress/{r}" for r in range(1, N_TOP + 1)],
-        "Prediction error, and what MP expected": ["error/mean", "error/expected"],
+        "Prediction errors: the experts, what MP expected of them, their shadows": ["error/.*"],
         "Number of regions": ["regions/number"],
     }
     return {"Development": {title: ("Multiline", tags) for title, tags in charts.items() if tags}}

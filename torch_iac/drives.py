@@ -215,9 +215,9 @@ class Stage:
     dimension: str
     """The action that the stage is about."""
     low: float
-    """Least value, in raw units."""
+    """Values lie above this, in raw units."""
     high: float
-    """Greatest value, in raw units."""
+    """And at this at most."""
     until: int
     """The decision at which the stage ends; the last stage never does."""
 

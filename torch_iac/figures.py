@@ -1,4 +1,4 @@
-"""Figures 2 and 3 of the 2004 paper, drawn from any run folder.
+"""Figures 2 and 3 of the 2004 paper, errors and expectations, drawn from any run folder.
 
 Colours are Okabe and Ito's, which colour-blind readers tell apart.
 """
@@ -18,18 +18,25 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
+from torch_iac.measures import Calibration, calibration
 from torch_iac.runs import (
+    MAIN,
     WINDOW,
     ErrorCurve,
     Run,
     error_curves,
+    known_mean,
     load_run,
     region_zones,
+    zone_errors,
     zone_shares,
 )
 
 ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Vermillion, blue, bluish green, reddish purple, orange, sky blue: zone after zone."""
+
+EXPERT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#D55E00")
+"""Black, orange, sky blue, reddish purple, yellow, vermillion: the main experts, then shadows."""
 
 MIXED_COLOUR = "#999999"
 """For regions that cover no zone well enough."""
@@ -39,6 +46,9 @@ LEAST_PURITY = 2 / 3
 
 SIZE = (3.5, 2.6)
 """Inches: one column of a paper."""
+
+WIDE = (7.0, 2.4)
+"""Inches: the whole width of a page."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 8,
@@ -54,6 +64,9 @@ STYLE: dict[Any, Any] = {
     "pdf.fonttype": 42,  # text stays text
 }
 
+DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
+"""How deciles look."""
+
 MAX_POINTS = 400
 """A curve is drawn with at most so many points."""
 
@@ -64,7 +77,9 @@ N_RESAMPLES = 1000
 def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
     """Draw the figures of a run into its folder, under `figures/`, and return where they are.
 
-    `experts.png` is figure 2, of agent 0; `zones.png` is figure 3, for worlds that have zones.
+    `experts.png` is figure 2, of agent 0; `zones.png` is figure 3, for worlds that have zones;
+    `errors.png` compares the experts with their shadows, if there are any; `calibration.png` shows
+    whether errors are what MP expected, if there is one.
 
     Args:
         folder: The run folder.
@@ -77,6 +92,10 @@ def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
     figures = {"experts": draw_experts(run)}
     if run.zone_names:
         figures["zones"] = draw_zones(run)
+    if run.shadow_names:
+        figures["errors"] = draw_errors(run)
+    if run.has_expectations:
+        figures["calibration"] = draw_calibration(run)
     target = run.folder / "figures"
     target.mkdir(exist_ok=True)
     paths = []
@@ -159,15 +178,103 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     return figure
 
 
+def draw_errors(run: Run, window: int = WINDOW) -> Figure:
+    """Return how the mean errors of the experts and of their shadows went, zone by zone.
+
+    All predict the same decisions. Means are over agents, on a logarithmic axis, in scaled units.
+
+    Args:
+        run: The run.
+        window: Over how many decisions errors are averaged; a shorter run is one window.
+    """
+    window = min(window, run.n_decisions)
+    names = run.zone_names or ("",)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=WIDE if run.zone_names else SIZE, layout="constrained")
+        panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+        for panel in panels:
+            _time_axis(panel, run.n_decisions)
+            panel.set_yscale("log")
+        for place, column in enumerate(run.error_columns.values()):
+            errors = zone_errors(run, column, window)  # (W, A, Z)
+            middles = (np.arange(len(errors)) + 0.5) * window
+            for zone, panel in enumerate(panels):
+                means = known_mean(errors[:, :, zone], axis=1)
+                panel.plot(middles, means, color=_expert_colour(place), linewidth=1.2)
+        for zone, name in enumerate(run.zone_names):
+            panels[zone].set_title(name, color=_zone_colour(zone), fontsize=8, fontweight="bold")
+        panels[0].set_ylabel(f"Mean error in {window} decisions (scaled)")
+        key = ["main experts" if name == MAIN else name for name in run.error_columns]
+        _legend(figure, [_line(_expert_colour(place), name) for place, name in enumerate(key)])
+    return figure
+
+
+def draw_calibration(run: Run) -> Figure:
+    """Return whether errors are what MP expected: by decile of the expectation, and by zone.
+
+    Both are in scaled units, on logarithmic axes, and means over the decisions that
+    `measures.calibration` takes. Above the diagonal, errors are larger than expected.
+
+    Raises:
+        ValueError: The run has no MP.
+    """
+    found = calibration(run)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(3.5, 3.4), layout="constrained")
+        axes = figure.subplots()
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_aspect("equal")
+        axes.axline((0.01, 0.01), (0.1, 0.1), color=MIXED_COLOUR, linewidth=0.8, zorder=0)
+        axes.plot(found.expected, found.actual, **DECILES)
+        for zone, (name, of) in enumerate(found.zones.items()):
+            axes.plot(of.expected, of.actual, "D", color=_zone_colour(zone), markersize=5)
+            axes.annotate(
+                name,
+                (of.expected, of.actual),
+                (6, -7),
+                textcoords="offset points",
+                color=_zone_colour(zone),
+                fontweight="bold",
+                fontsize=7,
+            )
+        _square(axes, found)
+        axes.set_xlabel("Error expected by MP (scaled)")
+        axes.set_ylabel("Mean error (scaled)")
+        _legend(
+            figure,
+            [
+                Line2D([], [], label=f"tenth of decisions from {found.first_step:,}", **DECILES),
+                Line2D([], [], color=MIXED_COLOUR, linewidth=0.8, label="as expected"),
+            ],
+        )
+    return figure
+
+
+def _square(axes: Axes, found: Calibration) -> None:
+    """Show the same errors along both axes."""
+    points = [(of.expected, of.actual) for of in found.zones.values()]
+    shown = np.concatenate([found.expected, found.actual, *map(np.array, points)])
+    shown = shown[shown > 0]
+    if len(shown):
+        limits = (shown.min() / 1.5, shown.max() * 1.5)
+        axes.set_xlim(limits)
+        axes.set_ylim(limits)
+
+
 def _axes(n_decisions: int) -> tuple[Figure, Axes]:
     """Return a figure of one column, with time along the horizontal axis."""
     figure = Figure(figsize=SIZE, layout="constrained")
     axes = figure.subplots()
+    _time_axis(axes, n_decisions)
+    return figure, axes
+
+
+def _time_axis(axes: Axes, n_decisions: int) -> None:
     axes.set_xlim(0, n_decisions)
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set_xlabel("Decisions")
-    return figure, axes
 
 
 def _legend(figure: Figure, key: Sequence[Line2D | Patch]) -> None:
@@ -192,6 +299,10 @@ def _band(colour: str) -> dict[str, Any]:
 
 def _zone_colour(zone: int) -> str:
     return ZONE_COLOURS[zone % len(ZONE_COLOURS)]
+
+
+def _expert_colour(place: int) -> str:
+    return EXPERT_COLOURS[place % len(EXPERT_COLOURS)]
 
 
 def _zone_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:

@@ -4,6 +4,7 @@ Shapes: `T` decisions, `A` agents, `Z` zones.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from torch_iac.runs import Run, focus_steps
+from torch_iac.runs import Run, by_decile, focus_steps, known_mean
 
 FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
 """The share of a window that counts as a focus on a zone, for the zones of the 2004 paper."""
@@ -19,16 +20,84 @@ FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
 SETTLING = 1000
 """How many first decisions the settled shares leave out, and how many last ones errors take."""
 
+CALIBRATED = 5000
+"""How many first decisions MP's calibration leaves out; half of a run shorter than twice that."""
+
 N_AGENTS_LISTED = 64
 """How many agents a summary lists one by one."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What MP expected of some decisions, and what came of them.
+
+    Attributes:
+        expected: The mean expected error, in scaled units; NaN if there are no such decisions.
+        actual: The mean error.
+        n_decisions: How many decisions, of all agents together.
+    """
+
+    expected: float
+    actual: float
+    n_decisions: int
+
+    @property
+    def ratio(self) -> float:
+        """How many times the actual error is expected; 1 if MP is calibrated."""
+        return self.expected / self.actual if self.actual else np.nan
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Whether the errors are those that MP expected; means over agents.
+
+    Attributes:
+        first_step: The decision from which on.
+        overall: All decisions since.
+        zones: Those in each zone of the world, if it has any.
+        expected: Shape `(10,)`: the mean expectation of each tenth of an agent's decisions, from
+            those with the lowest expectation to those with the highest.
+        actual: Shape `(10,)`: their mean error.
+    """
+
+    first_step: int
+    overall: Expectation
+    zones: dict[str, Expectation]
+    expected: NDArray[np.float64]
+    actual: NDArray[np.float64]
+
+
+def calibration(run: Run) -> Calibration:
+    """Return how far the errors of a run are those that MP expected, once it has settled.
+
+    Raises:
+        ValueError: The run has no MP.
+    """
+    if not run.has_expectations:
+        raise ValueError(f"the agents of {run.folder} have no MP, so they expect no errors")
+    start = min(CALIBRATED, run.n_decisions // 2)
+    expected, actual = (run.column(name)[start:] for name in ("expected_error", "error"))
+
+    def within(here: NDArray[np.bool_]) -> Expectation:
+        means = [known_mean(known_mean(of, axis=0, where=here)) for of in (expected, actual)]
+        return Expectation(float(means[0]), float(means[1]), int(here.sum()))
+
+    zones = run.column("zone")[start:] if run.zone_names else np.empty(0)
+    return Calibration(
+        start,
+        within(np.ones_like(actual, np.bool_)),
+        {name: within(zones == zone) for zone, name in enumerate(run.zone_names)},
+        *by_decile(expected, actual),
+    )
 
 
 def summarise(run: Run, seconds: float) -> dict[str, Any]:
     """Return the measures of a run, as `summary.json` holds them.
 
     Shares and errors are means over agents, first cuts and focuses count agents and give medians;
-    `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. What a short run does
-    not have is None.
+    `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. `errors` are those of the
+    last `SETTLING` decisions, of the main experts and of each shadow. What a short run, or one
+    without MP, does not have is None.
 
     Args:
         run: The run.
@@ -36,13 +105,18 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
     """
     n_decisions, n_regions = run.n_decisions, _n_regions(run)
     by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)
+    errors = {name: _late_errors(run, column) for name, column in run.error_columns.items()}
     return {
         "n_agents": run.n_agents,
         "n_decisions": n_decisions,
         "seconds": seconds,
         "decisions_per_second": n_decisions / seconds,
         "n_regions": float(n_regions.mean()),
-        **_each_zone(by_zone, lambda values: float(_mean(values))),
+        **_each_zone(by_zone, lambda values: float(known_mean(values))),
+        "errors": {
+            name: _describe_errors(run, known_mean(e, axis=0)) for name, e in errors.items()
+        },
+        "calibration": _calibration(run),
         "first_cuts": _count_first_cuts(cuts),
         "focus": {zone: _count_focus(steps) for zone, steps in focus.items()},
         "agents": [
@@ -50,6 +124,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
                 "seed": run.seeds[agent],
                 "n_regions": int(n_regions[agent]),
                 **_each_zone(by_zone, itemgetter(agent)),
+                "errors": {name: _describe_errors(run, e[agent]) for name, e in errors.items()},
                 "first_cut": cuts[agent],
                 "focus": {zone: steps[agent] for zone, steps in focus.items()},
             }
@@ -62,13 +137,11 @@ def _measures_by_zone(run: Run) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Return each measure of each zone, shape `(A,)`; NaN where there is nothing to measure."""
     if not run.zone_names:
         return {}
-    zones, errors = run.column("zone"), run.column("error")[-SETTLING:]
-    n_zones = len(run.zone_names)
-    in_zone = [zones[-SETTLING:] == zone for zone in range(n_zones)]
+    zones, n_zones = run.column("zone"), len(run.zone_names)
     measures = {
         "zone_shares": _shares(zones, n_zones),
         "settled_zone_shares": _shares(zones[SETTLING:], n_zones),
-        "late_zone_errors": np.stack([_mean(errors, axis=0, where=here) for here in in_zone], -1),
+        "late_zone_errors": _late_errors(run, "error")[:, 1:],
     }
     return {
         measure: dict(zip(run.zone_names, values.T, strict=True))
@@ -84,6 +157,48 @@ def _each_zone(
     return {
         measure: {zone: _number(pick(values)) for zone, values in zones.items()}
         for measure, zones in by_zone.items()
+    }
+
+
+def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
+    """Return each agent's mean error of late, in all and in each zone, shape `(A, 1 + Z)`."""
+    errors = run.column(column)[-SETTLING:]
+    means = [known_mean(errors, axis=0)]
+    if run.zone_names:
+        zones = run.column("zone")[-SETTLING:]
+        in_zone = (zones == zone for zone in range(len(run.zone_names)))
+        means += [known_mean(errors, axis=0, where=here) for here in in_zone]
+    return np.stack(means, axis=-1)
+
+
+def _describe_errors(run: Run, errors: NDArray[np.float64]) -> dict[str, Any]:
+    """Return errors, shape `(1 + Z,)`, under their names."""
+    overall, *by_zone = map(_number, errors.tolist())
+    return {"mean": overall, "zones": dict(zip(run.zone_names, by_zone, strict=True))}
+
+
+def _calibration(run: Run) -> dict[str, Any] | None:
+    """Return how calibrated MP is, if there is one."""
+    if not run.has_expectations:
+        return None
+    found = calibration(run)
+    return {
+        "first_step": found.first_step,
+        **_describe_expectation(found.overall),
+        "zones": {zone: _describe_expectation(of) for zone, of in found.zones.items()},
+        "deciles": {
+            "expected": [_number(value) for value in found.expected.tolist()],
+            "actual": [_number(value) for value in found.actual.tolist()],
+        },
+    }
+
+
+def _describe_expectation(of: Expectation) -> dict[str, float | None]:
+    return {
+        "expected": _number(of.expected),
+        "actual": _number(of.actual),
+        "ratio": _number(of.ratio),
+        "n": of.n_decisions,
     }
 
 
@@ -138,18 +253,7 @@ def _focus(run: Run) -> dict[str, list[int | None]]:
 
 def _shares(zones: NDArray[np.int8], n_zones: int) -> NDArray[np.float64]:
     """Return the share of each zone among decisions `(T, A)`, shape `(A, Z)`."""
-    return np.stack([_mean(zones == zone, axis=0) for zone in range(n_zones)], axis=-1)
-
-
-def _mean(
-    values: NDArray[Any], axis: int | None = None, where: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
-    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing."""
-    counted = np.isfinite(values) if where is None else where & np.isfinite(values)
-    n_counted = counted.sum(axis=axis)
-    total = np.sum(values, axis=axis, where=counted, dtype=np.float64)
-    nothing = np.full(np.shape(total), np.nan)
-    return np.asarray(np.divide(total, n_counted, out=nothing, where=n_counted > 0))
+    return np.stack([known_mean(zones == zone, axis=0) for zone in range(n_zones)], axis=-1)
 
 
 def _number(value: float) -> float | None:

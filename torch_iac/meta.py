@@ -10,8 +10,9 @@ from torch_iac.networks import MLP, Loss, StackedNetworks, Training, pick, squar
 from torch_iac.randomness import RandomStream
 
 META_STREAM = 2
-LEAST_LOG_ERROR = -12.0
-"""The logarithm of the least error that MP can expect."""
+SMALL_ERROR = 1e-4
+"""Added to errors before their logarithm is learnt, so that MP can come back from expecting none;
+taken off again when it is asked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +86,7 @@ class ErrorExpectation:
 
     def expect(self, situations: Tensor) -> Tensor:
         """Return the expected error in situations `(A, C, D)`, shape `(A, C)`, in scaled units."""
-        return self._networks.predict(situations).clamp_(min=LEAST_LOG_ERROR, max=0.0).exp_()
+        return self._networks.predict(situations).exp_().sub_(SMALL_ERROR).clamp_(0.0, 1.0)
 
     def learn(self, situations: Tensor, errors: Tensor, step: int) -> Tensor:
         """Learn from one situation `(A, D)` and error `(A,)` each; return the losses `(A,)`."""
@@ -138,6 +139,5 @@ class RecentNetworks:
 
 
 def gamma_loss(outputs: Tensor, errors: Tensor) -> Tensor:
-    """Return error / expected + log(expected), for outputs that are log(expected)."""
-    logs = outputs.clamp(min=LEAST_LOG_ERROR)
-    return errors * torch.exp(-logs) + logs
+    """Return what MP makes smaller; it is least for outputs log(mean error + `SMALL_ERROR`)."""
+    return (errors + SMALL_ERROR) * torch.exp(-outputs) + outputs

@@ -10,6 +10,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
@@ -207,8 +208,10 @@ class StackedNetworks:
         return outputs
 
     def _made(self, seed: int) -> nn.Module:
+        # torch on the CPU heeds 32 bits of a seed only, so all of them are mixed into these.
+        mixed = np.random.SeedSequence(seed % 2**128).generate_state(1).item()
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed % 2**63)
+            torch.manual_seed(mixed)
             return self._make()
 
     def _check(self, n_inputs: int, n_outputs: int) -> None:
@@ -242,8 +245,8 @@ def squared_error(predictions: Tensor, targets: Tensor) -> Tensor:
 
 def _linear(inputs: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
     """Return inputs `(A, B, n_in)` through each network's own layer, to the bit as if alone."""
-    if weights.shape[1] == 1:  # a product of matrices would round otherwise for one than for many
-        return (inputs * weights).sum(dim=2, keepdim=True) + biases
+    if 1 in weights.shape[1:]:  # a product with a vector rounds otherwise alone than in a batch
+        return (inputs[:, :, None] * weights[:, None]).sum(dim=3) + biases
     return torch.baddbmm(biases, inputs, weights.mT)
 
 

@@ -23,7 +23,7 @@ from torch_iac.agent import RegionSummary, Step
 from torch_iac.dashboard import Dashboard
 from torch_iac.measures import summarise
 from torch_iac.regions import NONE, Genealogy
-from torch_iac.runs import CONFIG, REGIONS, STEPS, SUMMARY, load_run, part_path
+from torch_iac.runs import CONFIG, MAIN, REGIONS, STEPS, SUMMARY, load_run, part_path, shadow_error
 from torch_iac.space import Dimension, SensorimotorSpace
 
 DECISIONS_PER_PART = 2000
@@ -38,6 +38,9 @@ DTYPES = {
 }
 """The fields of a step that are one number an agent; the rest are vectors in raw units, float32."""
 
+RESERVED = (MAIN, "mean", "expected")
+"""What no shadow can be called: errors of these names are others'."""
+
 
 class Recorded(Protocol):
     """What a recorder asks of the agent that it records; `IAC` has it."""
@@ -49,6 +52,10 @@ class Recorded(Protocol):
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seed of each agent."""
+
+    @property
+    def shadows(self) -> Mapping[str, Any]:
+        """The experts that only look on, by name."""
 
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""
@@ -76,14 +83,15 @@ class Recorder:
         folder: Where to write; made if it is not there.
         agent: The population that is recorded.
         zone_names: The names of the world's zones, if it has any.
-        config: What else `config.json` shall hold, besides the space, the seeds and the zones.
+        config: What else `config.json` shall hold, besides the space, the seeds, the zones and the
+            names of the shadows.
         log_every: How many decisions lie between two logs to TensorBoard.
         rows_per_part: At most so many rows (a decision of an agent) are kept in memory.
 
     Raises:
         FileExistsError: The folder already holds a run; it is not touched.
         NotADirectoryError: The folder is a file, or would lie in one.
-        ValueError: `log_every` or `rows_per_part` is below 1.
+        ValueError: `log_every` or `rows_per_part` is below 1, or a shadow has a name of `RESERVED`.
     """
 
     def __init__(
@@ -99,15 +107,24 @@ class Recorder:
         for name, value in (("log_every", log_every), ("rows_per_part", rows_per_part)):
             if value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
+        shadows = tuple(agent.shadows)
+        for name in RESERVED:
+            if name in shadows:
+                raise ValueError(f"a shadow must not be called {', '.join(RESERVED)}; got {name}")
         self.folder = Path(folder)
         _claim(self.folder)
-        known = {"space": agent.space.to_json(), "seeds": agent.seeds, "zones": zone_names}
+        known = {
+            "space": agent.space.to_json(),
+            "seeds": agent.seeds,
+            "zones": zone_names,
+            "shadows": shadows,
+        }
         write_config(self.folder, {**(config or {}), **known})
         n_decisions = max(1, min(DECISIONS_PER_PART, rows_per_part // len(agent.seeds)))
         self._agent, self._log_every = agent, log_every
-        self._rows = _Rows(n_decisions, agent.space, agent.seeds, zone_names is not None)
+        self._rows = _Rows(n_decisions, agent.space, agent.seeds, shadows, zone_names is not None)
         self._n_parts = self._n_tallied = 0
-        self._dashboard = Dashboard(self.folder, len(agent.seeds), zone_names or ())
+        self._dashboard = Dashboard(self.folder, len(agent.seeds), zone_names or (), shadows)
         self._started = time.perf_counter()
 
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
@@ -210,18 +227,25 @@ class _Rows:
     """
 
     def __init__(
-        self, capacity: int, space: SensorimotorSpace, seeds: Sequence[int], has_zones: bool
+        self,
+        capacity: int,
+        space: SensorimotorSpace,
+        seeds: Sequence[int],
+        shadows: Sequence[str],
+        has_zones: bool,
     ) -> None:
         self.count, self.has_zones = 0, has_zones
         self._seeds = np.array(seeds, np.int64)
         self._decisions = np.empty(capacity, np.int64)
         self._zones = np.empty((capacity, len(seeds)), np.int8)
-        self._names = _column_names(space)
-        self._fields_of = attrgetter(*self._names)
+        names = _column_names(space)
+        self._fields_of = attrgetter(*names)
+        self._names = names | _shadow_names(space, shadows)
+        dtypes = DTYPES | {shadow_error(name): np.float64 for name in shadows}
         shape = (capacity, len(seeds))
         self._values: dict[str, NDArray[Any]] = {
-            field: np.empty(shape, DTYPES[field])
-            if field in DTYPES
+            field: np.empty(shape, dtypes[field])
+            if field in dtypes
             else np.empty((*shape, len(names)), np.float32)
             for field, names in self._names.items()
         }
@@ -236,7 +260,10 @@ class _Rows:
         if zones is not None:
             on_host = zones.numpy(force=True) if isinstance(zones, Tensor) else zones
             self._zones[self.count] = on_host
-        for tensor, values in zip(self._fields_of(step), self._values.values(), strict=True):
+        tensors = self._fields_of(step)
+        for shadow in step.shadows:
+            tensors += (shadow.predictions, shadow.errors)
+        for tensor, values in zip(tensors, self._values.values(), strict=True):
             values[self.count] = np.nan if tensor is None else tensor.numpy(force=True)
         self.count += 1
 
@@ -282,6 +309,16 @@ def _column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
         "regions": ["region"],
         "progress": ["progress"],
     }
+
+
+def _shadow_names(space: SensorimotorSpace, shadows: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns that the predictions and the errors of each shadow fill, in order."""
+    names = {}
+    for shadow in shadows:
+        predictions = f"shadow/{shadow}/prediction"
+        names[predictions] = [f"{predictions}/{outcome.name}" for outcome in space.outcomes]
+        names[shadow_error(shadow)] = [shadow_error(shadow)]
+    return names
 
 
 def _claim(folder: Path) -> None:

@@ -23,6 +23,11 @@ STEPS = "steps"
 REGIONS = "regions.parquet"
 SUMMARY = "summary.json"
 
+MAIN = "main"
+"""What the experts that the robot acts on are called beside their shadows."""
+
+N_DECILES = 10
+
 WINDOW = 250
 """How many decisions a window of time holds, if nobody says otherwise."""
 
@@ -45,6 +50,11 @@ def load_run(folder: Path | str) -> "Run":
 def part_path(folder: Path, number: int) -> Path:
     """Return where a run folder keeps a part of its decisions; parts count from 0."""
     return folder / STEPS / f"part-{number:05d}.parquet"
+
+
+def shadow_error(name: str) -> str:
+    """Return the column that holds the errors of a shadow."""
+    return f"shadow/{name}/error"
 
 
 @dataclass(frozen=True)
@@ -101,6 +111,21 @@ class Run:
     def zone_names(self) -> tuple[str, ...]:
         """The names of the world's zones; none if it has no zones."""
         return tuple(self.config["zones"] or ())
+
+    @property
+    def shadow_names(self) -> tuple[str, ...]:
+        """The names of the experts that only looked on."""
+        return tuple(self.config.get("shadows", ()))
+
+    @property
+    def error_columns(self) -> dict[str, str]:
+        """The column with the errors of each kind of experts: `MAIN`, then the shadows."""
+        return {MAIN: "error"} | {name: shadow_error(name) for name in self.shadow_names}
+
+    @cached_property
+    def has_expectations(self) -> bool:
+        """Whether the agents had an MP."""
+        return bool(np.isfinite(self.column("expected_error")).any())
 
     @property
     def error_window(self) -> int:
@@ -283,6 +308,59 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
     n_windows = len(zones) // window
     windows = zones[: n_windows * window].reshape(n_windows, window, run.n_agents)
     return np.stack([(windows == z).mean(axis=1) for z in range(len(run.zone_names))], axis=-1)
+
+
+def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArray[np.float64]:
+    """Return the mean error of each agent in each zone, window after window.
+
+    Args:
+        run: The run.
+        column: Whose errors, by their column; `run.error_columns` has them.
+        window: Decisions a window; a last window that is not full is left out.
+
+    Returns:
+        Shape `(W, A, Z)`; NaN where an agent was not there. Without zones, one stands for all.
+    """
+    errors = run.column(column)
+    zones = run.column("zone") if run.zone_names else np.zeros(errors.shape, np.int8)
+    n_windows = len(errors) // window
+    shape = (n_windows, window, run.n_agents)
+    errors, zones = (values[: n_windows * window].reshape(shape) for values in (errors, zones))
+    in_zone = [zones == zone for zone in range(max(1, len(run.zone_names)))]
+    return np.stack([known_mean(errors, axis=1, where=here) for here in in_zone], axis=-1)
+
+
+def by_decile(
+    expected: NDArray[Any], actual: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what came of each tenth of the expectations, from the lowest to the highest.
+
+    Args:
+        expected: Shape `(T, A)`.
+        actual: Shape `(T, A)`, what came.
+
+    Returns:
+        The mean expectation of each tenth of each agent's decisions and the mean of what came,
+        each of shape `(10,)`, means over agents; NaN for tenths of nothing.
+    """
+    order = np.argsort(expected, axis=0, kind="stable")
+
+    def tenths(values: NDArray[Any]) -> NDArray[np.float64]:
+        parts = np.array_split(np.take_along_axis(values, order, axis=0), N_DECILES)
+        return np.array([known_mean(known_mean(part, axis=0)) for part in parts])
+
+    return tenths(expected), tenths(actual)
+
+
+def known_mean(
+    values: NDArray[Any], axis: int | None = None, where: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing."""
+    counted = np.isfinite(values) if where is None else where & np.isfinite(values)
+    n_counted = counted.sum(axis=axis)
+    total = np.sum(values, axis=axis, where=counted, dtype=np.float64)
+    nothing = np.full(np.shape(total), np.nan)
+    return np.asarray(np.divide(total, n_counted, out=nothing, where=n_counted > 0))
 
 
 def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list[int | None]:

@@ -1,0 +1,93 @@
+"""Every number of the algorithm in one place, and the two papers' numbers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, Literal
+
+from torch_iac.choices import Choice, Greedy
+from torch_iac.drives import Drive, Progress
+from torch_iac.experts import Experts, KNNExperts
+from torch_iac.meta import ImprovementPredictor, MetaPredictor
+
+
+@dataclass(frozen=True, kw_only=True)
+class IACConfig:
+    """Every number of the algorithm; the defaults are the paper's (preset `iac2004`).
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+
+    Source: Oudeyer and Kaplan (2004); where the paper is silent, the field says so.
+    """
+
+    experts: Experts = field(default_factory=KNNExperts)
+    """What predicts the outcome in each region."""
+    drive: Drive = field(default_factory=Progress)
+    """What a candidate action is worth."""
+    choice: Choice = field(default_factory=Greedy)
+    """Which candidate is taken, given what each is worth."""
+    meta: MetaPredictor | None = None
+    """MP, which some drives need; the regional drive does not."""
+    improvement: ImprovementPredictor | None = None
+    """What learns how much an update improves a prediction; one drive needs it."""
+    shadows: Mapping[str, Experts] = field(default_factory=dict)
+    """Other experts, by name, that predict and learn on the same stream without any influence."""
+    n_candidates: int = 50
+    """How many random actions are weighed at a decision (the papers do not say)."""
+    epsilon: float = 0.1
+    """Probability of a uniformly random action instead of the best candidate."""
+    max_examples: int = 250
+    """C1: a region splits when it holds more examples than this (NS)."""
+    balance: float = 0.15
+    """C2: smallest share of the examples that a child may keep (2004: "relatively balanced")."""
+    window: int = 150
+    """How many errors the mean error is taken over (DELAY; theta + 1 in 2007)."""
+    delay: int = 150
+    """How many errors lie between the two means compared (DELAY; tau in 2007)."""
+    error: Literal["absolute", "squared"] = "absolute"
+    """Prediction error, averaged over outcome dimensions: absolute (2004) or squared (2007)."""
+    inherit_history: bool = True
+    """Children take over their parent's errors and progress (2007; 2004 draws it in figure 2);
+    otherwise they start with none."""
+
+    def __post_init__(self) -> None:
+        for name in ("n_candidates", "max_examples", "window", "delay"):
+            least = 2 if name == "max_examples" else 1
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        for name, high in (("epsilon", 1), ("balance", 0.5)):
+            if not 0 <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must lie in [0, {high}], got {getattr(self, name)}")
+        if self.error not in ("absolute", "squared"):
+            raise ValueError(f"error must be absolute or squared, got {self.error}")
+        for part in ("meta", "improvement"):
+            if part in self.drive.needs and getattr(self, part) is None:
+                drive = type(self.drive).__name__
+                raise ValueError(f"{part} must be on for the drive {drive}, got None")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return every number, and the kind and the numbers of each part."""
+        return {f.name: _to_json(getattr(self, f.name)) for f in fields(self)}
+
+
+PRESETS = {
+    "iac2004": IACConfig(),
+    "iac2007": IACConfig(epsilon=0.15, balance=0.0, window=26, delay=15, error="squared"),
+}
+"""The two papers' parameters. The 2007 robot also senses the toy's distance alone: in the toy room,
+`beams=0, toy_direction=False`."""
+
+
+def _to_json(value: Any) -> Any:
+    """Return a config's value as JSON can hold it; what it cannot hold by its name."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, Mapping):
+        return {name: _to_json(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_to_json(part) for part in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        numbers = {f.name: _to_json(getattr(value, f.name)) for f in fields(value)}
+        return {"kind": type(value).__name__, **numbers}
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__}.{named.__qualname__}"
