@@ -3,7 +3,7 @@
     python -m scripts.development
 
 prints, for each seed and in all, where the first cut was, when the robot focused on f3 and on f2,
-and how much time it spent in f1. Runs that are in the folder already are not run again.
+how much time it spent in f1, and whether MP expected the errors that came. Runs that are in the folder already are not run again.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from scripts.study import Life, live_all
-from torch_iac import IACConfig
+from torch_iac import IACConfig, MetaPredictor
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
     runs = live_all(
         (
-            Life(study.out / f"seed-{seed:03d}", IACConfig(), seed, study.steps)
+            Life(study.out / f"seed-{seed:03d}", IACConfig(meta=MetaPredictor()), seed, study.steps)
             for seed in range(study.seeds)
         ),
         study.processes,
@@ -58,6 +58,13 @@ def main(study: Study) -> None:
         f"median {np.median(f1):.1%}, range {f1.min():.1%} to {f1.max():.1%}; "
         f"at most 10 % in {(f1 <= 0.1).sum()} of {study.seeds}."
     )
+    for zone in ("f1", "f2", "f3"):
+        ratios = np.array([run.summary["calibration"]["zones"][zone]["ratio"] for run in runs])
+        print(
+            f"MP's expectation over the actual error in {zone}: median {np.median(ratios):.2f}, "
+            f"range {ratios.min():.2f} to {ratios.max():.2f}; "
+            f"within 25 % in {(np.abs(ratios - 1) <= 0.25).sum()} of {study.seeds}."
+        )
 
 
 def came_first(first: float | None, second: float | None) -> bool:

@@ -142,8 +142,8 @@ def assert_same(one: Step, other: Step, agent: int, other_agent: int) -> None:
             60,
         ),
         (replace(SMALL, meta=MetaPredictor(), drive=MetaProgress()), 60),
-        (replace(LEARNERS, drive=Improvement(), choice=Softmax()), 150),
-        (replace(LEARNERS, drive=GlobalProgress(), choice=Proportional()), 150),
+        (replace(LEARNERS, drive=Improvement(), choice=Softmax()), 80),
+        (replace(LEARNERS, drive=GlobalProgress(), choice=Proportional()), 80),
     ],
     ids=["1-nn", "3-nn", "MLPs", "fresh MLPs", "MP", "improvement", "global"],
 )
@@ -253,6 +253,35 @@ def test_what_mp_expects_is_recorded_before_it_learns(space: SensorimotorSpace) 
             assert not torch.equal(step.expected_errors, after)
 
 
+def test_improvement_is_learnt_from_the_error_before_and_after(space: SensorimotorSpace) -> None:
+    agent = IAC(space, LEARNERS, [0, 1])
+    agent.experts = KNNExperts()  # which knows every example by heart: no error is left
+    gains = []
+
+    class Witness:
+        def learn(self, situations: Tensor, targets: Tensor, step: int) -> None:  # noqa: ARG002
+            gains.append(targets)
+
+    agent.improvement = Witness()  # type: ignore[assignment]
+    errors = [step.errors for step in live(agent, 20)]
+    assert torch.equal(torch.stack(gains), torch.stack(errors))
+    assert torch.stack(errors).mean() > 0.1
+
+
+def test_what_is_left_to_chance_is_not_what_makes_an_action_random(
+    space: SensorimotorSpace,
+) -> None:
+    config = replace(SMALL, drive=Random(), choice=Proportional(), epsilon=0.5)
+    agent = IAC(space, config, seeds=list(range(50)))
+    taken = []
+    for step in live(agent, 40):
+        candidates = agent._choices.at(step.number)[:, 2:].view(50, 5, 2)
+        pushes = torch.isclose(candidates[..., 0] * 2 - 1, step.actions[:, :1], atol=1e-6)
+        taken.append(pushes.int().argmax(dim=1)[~step.random_actions])
+    shares = torch.cat(taken).bincount(minlength=5) / len(torch.cat(taken))
+    assert shares.tolist() == pytest.approx([0.2] * 5, abs=0.06)
+
+
 def test_without_mp_no_error_is_expected_and_mp_changes_no_decision(
     space: SensorimotorSpace,
 ) -> None:
@@ -305,9 +334,9 @@ class Cracked(KNNExperts):
 
     def learn(  # type: ignore[override]
         self,
-        examples: Examples,
+        examples: Examples,  # noqa: ARG002
         rows: Tensor,
-        step: int,  # noqa: ARG002
+        step: int,
     ) -> Tensor:
         losses = torch.zeros(len(rows))
         if step == self.decision:

@@ -48,8 +48,12 @@ class MetaPredictor(RecentTraining):
 
     learning_rate: float = 0.003
     """Step size of the optimiser."""
-    minibatches: int = 2
+    minibatches: int = 1
     """How many steps of the optimiser a decision."""
+    minibatch_size: int = 128
+    """How many decisions each step looks at, drawn with replacement; large, since errors scatter."""
+    memory: int = 600
+    """How many of the most recent decisions it learns from."""
 
     def start(
         self, situation_dim: int, seeds: Sequence[int], device: torch.device

@@ -79,7 +79,8 @@ class StackedNetworks:
     """Networks of one shape; row `i` of each tensor belongs to network `i`.
 
     A `Sequential` of linear and elementwise layers runs as batched matrix products, anything else
-    through `torch.func.vmap`.
+    through `torch.func.vmap`. On the CPU a network of linear layers and ReLU learns the same to the
+    bit whatever other rows there are; other modules may differ in the last digits.
 
     Args:
         factory: Makes one network.
