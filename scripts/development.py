@@ -3,7 +3,8 @@
     python -m scripts.development
 
 prints, for each seed and in all, where the first cut was, when the robot focused on f3 and on f2,
-how much time it spent in f1, and whether MP expected the errors that came. Runs that are in the folder already are not run again.
+how much time it spent in f1, and whether MP expected the errors that came. Runs that are in the
+folder already are not run again.
 """
 
 from dataclasses import dataclass

@@ -193,6 +193,7 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
             "outcomes": {"toy_distance": [0.0, 5.0]},
         },
         "seeds": [100, 101],
+        "shadows": [],
         "zones": ["f1", "f2", "f3"],
     }
 

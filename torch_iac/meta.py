@@ -51,7 +51,7 @@ class MetaPredictor(RecentTraining):
     minibatches: int = 1
     """How many steps of the optimiser a decision."""
     minibatch_size: int = 128
-    """How many decisions each step looks at, drawn with replacement; large, since errors scatter."""
+    """How many decisions each step looks at, drawn with replacement; many, since errors scatter."""
     memory: int = 600
     """How many of the most recent decisions it learns from."""
 
