@@ -1,0 +1,37 @@
+"""The Python in the README and in docs/ runs as it stands there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from torch_iac.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCKS = [
+    pytest.param(block, id=f"{page.name}-{number}")
+    for page in PAGES
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+]
+LINKS = [
+    pytest.param(page, link, id=f"{page.name}-{link}")
+    for page in PAGES
+    for link in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text())
+]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_examples_run(
+    block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if "runs/some-run" in block:
+        main(["train", "--steps", "20", "--out", "runs/some-run"])
+    exec(compile(block, "example", "exec"), {})
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(("page", "link"), LINKS)
+def test_links_lead_somewhere(page: Path, link: str) -> None:
+    assert (page.parent / link).exists()
