@@ -96,7 +96,7 @@ def percents(of_robots: np.ndarray) -> str:
 
 def focus(robots: list[Run], zone: str) -> str:
     """Return the median decision at which robots focused on a zone, and how many did."""
-    steps = np.array([focus_steps(run, zone, FOCUS_SHARES[zone])[0] for run in robots])
+    steps = np.array([focus_steps(run, zone, FOCUS_SHARES[zone])[0] for run in robots], float)
     reached = steps[np.isfinite(steps)]
     if not len(reached):
         return "never"
