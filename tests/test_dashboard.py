@@ -1,10 +1,12 @@
 """What TensorBoard shows of a run."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.synthetic_run import ZONES, write_run
@@ -35,6 +37,59 @@ def test_tensorboard_shows_the_run_so_far(tmp_path: Path) -> None:
     assert tags["histograms"] == ["progress/regions"]
     assert tags["images"] == ["progress/map"]
     assert "custom_scalars__config__" in tags["tensors"]
+
+
+def test_tensorboard_shows_shadows_and_whether_mp_is_right(tmp_path: Path) -> None:
+    folder = write_run(
+        tmp_path, 2, n_decisions=1000, shadows={"knn": 2.0, "mlp": 0.5}, meta=True, rows_per_part=70
+    )
+    board, last = events(folder), load_run(folder).steps.slice(2 * 900)
+    error = board.Scalars("error/mean")[-1].value
+    assert board.Scalars("error/knn")[-1].value == pytest.approx(2 * error)
+    assert board.Scalars("error/mlp")[-1].value == pytest.approx(error / 2)
+    zones = last["zone"].to_numpy()
+    for kind, column in (("expected", "expected_error"), ("actual", "error")):
+        means = [last[column].to_numpy()[zones == zone].mean() for zone in range(3)]
+        logged = [board.Scalars(f"calibration/{zone}/{kind}")[-1].value for zone in ZONES]
+        assert logged == pytest.approx(means)
+    assert board.Tags()["images"] == ["progress/map", "calibration/deciles"]
+
+
+def test_the_picture_of_the_calibration_is_of_the_last_decisions_of_the_first_agents(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dashboard, "N_CALIBRATED", 5)
+    monkeypatch.setattr(dashboard, "N_AGENTS_CALIBRATED", 2)
+    chart = dashboard._Calibration()
+    chart.add({"expected_errors": np.full((3, 4), np.nan), "errors": np.ones((3, 4))})
+    assert not chart.is_known
+    numbers = np.arange(28.0).reshape(7, 4)
+    for rows in (slice(3), slice(3, 3), slice(3, 4), slice(4, 7)):
+        columns = {"expected_errors": numbers[rows].copy(), "errors": numbers[rows] + 1}
+        chart.add(columns)
+        columns["expected_errors"][:] = 0.0  # buffers are reused
+    assert chart.is_known
+    assert chart._expected.tolist() == numbers[2:, :2].tolist()
+    assert chart._actual.tolist() == (numbers[2:, :2] + 1).tolist()
+
+
+@pytest.mark.parametrize(
+    ("n_deciles", "color"), [(10, (0, 114, 178)), (1, (0, 114, 178))], ids=["ten", "one"]
+)
+def test_a_calibrated_mp_keeps_to_the_diagonal(n_deciles: int, color: tuple[int, int, int]) -> None:
+    deciles = np.full((2, 10), np.nan)
+    deciles[:, :n_deciles] = np.geomspace(0.002, 0.2, n_deciles)
+    shown = dashboard._decile_picture(deciles)
+    picture = Image.open(BytesIO(shown.encoded_image_string))
+    assert picture.size == (shown.width, shown.height)
+    pixels = np.asarray(picture)
+    rows, columns = np.nonzero((pixels == color).all(axis=-1))
+    assert len(rows)
+    assert np.abs(shown.height - rows - columns).max() <= 9  # the radius of a point, twice, and 1
+
+
+def test_errors_of_zero_have_a_place_on_logarithmic_axes() -> None:
+    assert dashboard._decile_picture(np.zeros((2, 10))).encoded_image_string
 
 
 def test_a_region_of_agent_0_has_its_own_curve_while_it_is_a_leaf(tmp_path: Path) -> None:

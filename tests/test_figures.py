@@ -11,14 +11,38 @@ from numpy.testing import assert_allclose
 
 from tests.synthetic_run import write_run
 from torch_iac import figures
-from torch_iac.figures import ZONE_COLOURS, draw_experts, draw_zones, save_figures
-from torch_iac.runs import Run, error_curves, load_run, region_zones, zone_shares
+from torch_iac.figures import (
+    EXPERT_COLOURS,
+    ZONE_COLOURS,
+    draw_calibration,
+    draw_errors,
+    draw_experts,
+    draw_zones,
+    save_figures,
+)
+from torch_iac.measures import calibration
+from torch_iac.runs import (
+    Run,
+    error_curves,
+    known_mean,
+    load_run,
+    region_zones,
+    zone_errors,
+    zone_shares,
+)
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of four agents."""
     return load_run(write_run(tmp_path_factory.mktemp("run"), n_agents=4, n_decisions=1300))
+
+
+@pytest.fixture(scope="module")
+def compared_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of two agents with two shadows and MP."""
+    folder = tmp_path_factory.mktemp("compared")
+    return load_run(write_run(folder, 2, 700, shadows={"knn": 2.0, "mlp": 0.5}, meta=True))
 
 
 def labels(figure: Figure) -> list[str]:
@@ -94,6 +118,58 @@ def test_one_agent_has_no_band_in_its_legend(tmp_path: Path) -> None:
     assert labels(figure) == ["f1", "f2", "f3"]
     middles = np.asarray(figure.axes[0].lines[0].get_xdata())
     assert middles.tolist() == [15.0]  # the run is its only window
+
+
+def test_errors_of_experts_and_shadows_are_drawn_zone_by_zone(compared_run: Run) -> None:
+    figure = draw_errors(compared_run, window=100)
+    assert labels(figure) == ["main experts", "knn", "mlp"]
+    assert [axes.get_title() for axes in figure.axes] == ["f1", "f2", "f3"]
+    for zone, axes in enumerate(figure.axes):
+        main, knn, mlp = (np.asarray(line.get_ydata()) for line in axes.lines)
+        expected = known_mean(zone_errors(compared_run, window=100)[:, :, zone], axis=1)
+        assert_allclose(main, expected)
+        assert_allclose(knn, 2 * main)
+        assert_allclose(mlp, main / 2)
+        assert [line.get_color() for line in axes.lines] == list(EXPERT_COLOURS[:3])
+        assert_allclose(np.asarray(axes.lines[0].get_xdata()), np.arange(7) * 100 + 50)
+
+
+def test_errors_have_logarithmic_axes_unless_there_are_none(
+    compared_run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert {axes.get_yscale() for axes in draw_errors(compared_run).axes} == {"log"}
+    monkeypatch.setattr(figures, "zone_errors", lambda *_: np.zeros((2, 1, 3)))
+    assert {axes.get_yscale() for axes in draw_errors(compared_run).axes} == {"linear"}
+
+
+def test_without_zones_errors_have_one_panel(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=30, zone_names=None, shadows={"knn": 2.0})
+    (axes,) = draw_errors(load_run(folder)).axes
+    errors = load_run(folder).column("error")
+    assert_allclose(np.asarray(axes.lines[0].get_ydata()), [errors.mean()])
+
+
+def test_calibration_is_drawn_by_decile_and_by_zone(compared_run: Run) -> None:
+    axes, found = draw_calibration(compared_run).axes[0], calibration(compared_run)
+    deciles, *zones = axes.lines[1:]  # the diagonal comes first
+    assert_allclose(np.asarray(deciles.get_xdata()), found.expected)
+    assert_allclose(np.asarray(deciles.get_ydata()), found.actual)
+    assert [text.get_text() for text in axes.texts] == ["f1", "f2", "f3"]
+    for zone, marker in enumerate(zones):
+        of = found.zones[f"f{zone + 1}"]
+        assert np.asarray(marker.get_xydata()).tolist() == [[of.expected, of.actual]]
+        assert marker.get_color() == ZONE_COLOURS[zone]
+    assert axes.get_xlim() == axes.get_ylim()
+
+
+def test_figures_are_saved_as_there_is_something_to_show(compared_run: Run) -> None:
+    names = [path.name for path in save_figures(compared_run.folder)]
+    assert names == ["experts.png", "zones.png", "errors.png", "calibration.png"]
+
+
+def test_a_run_of_one_decision_can_be_drawn(tmp_path: Path) -> None:
+    folder = write_run(tmp_path, n_decisions=1, shadows={"knn": 2.0}, meta=True)
+    assert len(save_figures(folder)) == 4
 
 
 def test_figures_are_saved_beside_the_run(run: Run) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.synthetic_run import write_run
 from torch_iac import measures
-from torch_iac.measures import summarise
+from torch_iac.measures import calibration, summarise
 from torch_iac.runs import Run, load_run
 
 N_AGENTS, N_DECISIONS = 3, 1600
@@ -60,6 +60,71 @@ def test_a_summary_lists_a_bounded_number_of_agents(
     summary = summarise(run, 1.0)
     assert [agent["seed"] for agent in summary["agents"]] == [100, 101]
     assert summary["zone_shares"] == run.summary["zone_shares"]
+
+
+def test_the_summary_compares_the_experts_with_their_shadows(tmp_path: Path) -> None:
+    shadows = {"knn": 2.0, "mlp": 0.5}
+    summary = load_run(write_run(tmp_path, 2, 1100, shadows=shadows, meta=True)).summary
+    errors = summary["errors"]
+    assert list(errors) == ["main", "knn", "mlp"]
+    assert errors["main"]["zones"] == summary["late_zone_errors"]
+    for name, times in shadows.items():
+        assert errors[name]["mean"] == pytest.approx(times * errors["main"]["mean"])
+        assert errors[name]["zones"]["f2"] == pytest.approx(times * errors["main"]["zones"]["f2"])
+    by_agent = [agent["errors"]["knn"]["mean"] for agent in summary["agents"]]
+    assert errors["knn"]["mean"] == pytest.approx(np.mean(by_agent))
+
+
+def test_errors_are_those_of_the_last_decisions(run: Run) -> None:
+    errors = run.column("error")[-1000:]
+    assert run.summary["errors"]["main"]["mean"] == pytest.approx(errors.mean())
+    assert run.summary["agents"][1]["errors"]["main"]["mean"] == pytest.approx(errors[:, 1].mean())
+
+
+def test_a_right_mp_is_calibrated(tmp_path: Path) -> None:
+    """The made-up MP knows the mean of every error."""
+    run = load_run(write_run(tmp_path, 3, 1600, meta=True))
+    found = calibration(run)
+    assert found.first_step == 800
+    assert found.overall.n_decisions == 3 * 800
+    assert found.overall.ratio == pytest.approx(1.0, abs=0.1)
+    assert sum(of.n_decisions for of in found.zones.values()) == 3 * 800
+    assert found.zones["f1"].expected == pytest.approx(0.3 * np.sqrt(2 / np.pi))
+    assert np.all(np.diff(found.expected) >= 0)
+    assert found.actual == pytest.approx(found.expected, rel=0.3)
+    told = run.summary["calibration"]
+    assert told["ratio"] == found.overall.ratio
+    assert (
+        told["zones"]["f2"]["ratio"]
+        == told["zones"]["f2"]["expected"] / (told["zones"]["f2"]["actual"])
+    )
+    assert told["deciles"] == {
+        "expected": found.expected.tolist(),
+        "actual": found.actual.tolist(),
+    }
+
+
+def test_calibration_begins_when_mp_has_settled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measures, "CALIBRATED", 20)
+    run = load_run(write_run(tmp_path, 1, 100, zone_names=None, meta=True))
+    found = calibration(run)
+    assert (found.first_step, found.overall.n_decisions, found.zones) == (20, 80, {})
+    assert found.overall.actual == pytest.approx(run.column("error")[20:].mean())
+
+
+def test_a_zone_that_was_never_entered_has_no_calibration(tmp_path: Path) -> None:
+    summary = load_run(write_run(tmp_path, n_decisions=1, meta=True)).summary
+    zones = summary["calibration"]["zones"].values()
+    assert {"expected": None, "actual": None, "ratio": None, "n": 0} in zones
+    assert summary["calibration"]["deciles"]["expected"][1:] == [None] * 9
+
+
+def test_without_mp_there_is_no_calibration(run: Run) -> None:
+    assert run.summary["calibration"] is None
+    with pytest.raises(ValueError, match="have no MP"):
+        calibration(run)
 
 
 def test_a_short_run_has_no_settled_shares_and_no_cut(tmp_path: Path) -> None:

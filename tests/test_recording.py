@@ -85,6 +85,41 @@ def test_an_expected_error_is_null_without_mp_and_kept_with_it(tmp_path: Path) -
     assert table["expected_error"].to_pylist() == [None, None, 0.25, 0.5]
 
 
+def test_each_shadow_has_its_columns(tmp_path: Path) -> None:
+    population = SyntheticPopulation(2, 3, shadows={"knn": 2.0, "mlp": 0.5})
+    steps = []
+    with Recorder(tmp_path, population, ZONES) as recorder:
+        for _ in range(3):
+            step, zones = population.decide()
+            recorder.record(step, zones)
+            steps.append(step)
+    table = pq.read_table(parts(tmp_path))
+    assert table.column_names == [
+        *COLUMNS,
+        "shadow/knn/prediction/toy_distance",
+        "shadow/knn/error",
+        "shadow/mlp/prediction/toy_distance",
+        "shadow/mlp/error",
+    ]
+    for place, name in enumerate(("knn", "mlp")):
+        shadows = [step.shadows[place] for step in steps]
+        assert {shadow.name for shadow in shadows} == {name}
+        errors = torch.cat([shadow.errors for shadow in shadows])
+        predictions = torch.cat([shadow.predictions[:, 0] for shadow in shadows])
+        assert table[f"shadow/{name}/error"].to_pylist() == errors.tolist()
+        assert table[f"shadow/{name}/prediction/toy_distance"].to_pylist() == predictions.tolist()
+    assert table.schema.field("shadow/knn/error").type == pa.float64()
+    assert table.schema.field("shadow/knn/prediction/toy_distance").type == pa.float32()
+
+
+@pytest.mark.parametrize("name", ["main", "mean", "expected"])
+def test_a_shadow_cannot_have_the_name_of_another_error(tmp_path: Path, name: str) -> None:
+    population = SyntheticPopulation(1, 1, shadows={name: 1.0})
+    with pytest.raises(ValueError, match=f"must not be called main, mean, expected, got {name}"):
+        Recorder(tmp_path / "a", population)
+    assert not (tmp_path / "a").exists()
+
+
 def test_a_world_without_zones_has_no_zone_column(tmp_path: Path) -> None:
     write_run(tmp_path, n_decisions=5, zone_names=None)
     assert pq.read_table(parts(tmp_path)).column_names == [c for c in COLUMNS if c != "zone"]
@@ -193,8 +228,8 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
             "outcomes": {"toy_distance": [0.0, 5.0]},
         },
         "seeds": [100, 101],
-        "shadows": [],
         "zones": ["f1", "f2", "f3"],
+        "shadows": [],
     }
 
 

@@ -17,10 +17,13 @@ from torch_iac import runs
 from torch_iac.runs import (
     Run,
     ancestors,
+    by_decile,
     error_curves,
     focus_steps,
+    known_mean,
     load_run,
     region_zones,
+    zone_errors,
     zone_shares,
 )
 
@@ -114,6 +117,53 @@ def test_shares_of_zones_are_counted_window_by_window(run: Run) -> None:
     zones = run.column("zone")
     assert shares[2, 1, 0] == np.mean(zones[600:900, 1] == 0)
     assert_allclose(shares.sum(axis=2), 1.0)
+
+
+def test_a_run_knows_its_shadows_and_whether_there_is_mp(run: Run, tmp_path: Path) -> None:
+    assert (run.shadow_names, run.error_columns) == ((), {"main": "error"})
+    assert not run.has_expectations
+    other = load_run(write_run(tmp_path, n_decisions=3, shadows={"a/b": 2.0}, meta=True))
+    assert other.shadow_names == ("a/b",)
+    assert other.error_columns == {"main": "error", "a/b": "shadow/a/b/error"}
+    assert other.has_expectations
+    assert_allclose(other.column("shadow/a/b/error"), 2 * other.column("error"))
+
+
+def test_errors_are_averaged_by_window_agent_and_zone(run: Run) -> None:
+    means = zone_errors(run, window=300)
+    assert means.shape == (5, N_AGENTS, 3)
+    errors, zones = run.column("error")[600:900, 1], run.column("zone")[600:900, 1]
+    assert means[2, 1, 0] == pytest.approx(errors[zones == 0].mean())
+
+
+def test_a_window_without_errors_in_a_zone_has_no_mean(tmp_path: Path) -> None:
+    run = load_run(write_run(tmp_path / "a", n_decisions=4))
+    means = zone_errors(run, window=1)[:, 0]
+    assert np.isfinite(means).sum(axis=1).tolist() == [1] * 4
+    without_zones = load_run(write_run(tmp_path / "b", n_decisions=4, zone_names=None))
+    assert_allclose(
+        zone_errors(without_zones, window=1)[:, 0, 0], without_zones.column("error")[:, 0]
+    )
+
+
+def test_deciles_are_of_each_agents_own_expectations() -> None:
+    """Two agents expect 0 to 19 and 100 to 119, shuffled; the errors are twice that."""
+    order = np.random.default_rng(0).permutation(20)
+    expected = np.stack([order, 100 + order], axis=1)
+    means, came = by_decile(expected, 2 * expected)
+    assert_allclose(means, 50.5 + 2 * np.arange(10))
+    assert_allclose(came, 2 * means)
+
+
+def test_few_decisions_fill_few_deciles() -> None:
+    means, _ = by_decile(np.array([[3.0], [1.0]]), np.ones((2, 1)))
+    assert_allclose(means, [1.0, 3.0] + [np.nan] * 8)
+
+
+def test_a_mean_of_nothing_is_nan() -> None:
+    values = np.array([[1.0, np.nan], [3.0, np.nan]])
+    assert_allclose(known_mean(values, axis=0), [2.0, np.nan])
+    assert_allclose(known_mean(values, where=values > 1), 3.0)
 
 
 def write_zones(folder: Path, zones: list[int]) -> Run:

@@ -194,13 +194,14 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel in panels:
             _time_axis(panel, run.n_decisions)
-            panel.set_yscale("log")
         for place, column in enumerate(run.error_columns.values()):
             errors = zone_errors(run, column, window)  # (W, A, Z)
             middles = (np.arange(len(errors)) + 0.5) * window
             for zone, panel in enumerate(panels):
                 means = known_mean(errors[:, :, zone], axis=1)
                 panel.plot(middles, means, color=_expert_colour(place), linewidth=1.2)
+            if (errors > 0).any():
+                panels[0].set_yscale("log")  # and with it the others
         for zone, name in enumerate(run.zone_names):
             panels[zone].set_title(name, color=_zone_colour(zone), fontsize=8, fontweight="bold")
         panels[0].set_ylabel(f"Mean error in {window} decisions (scaled)")
@@ -244,7 +245,9 @@ def draw_calibration(run: Run) -> Figure:
         _legend(
             figure,
             [
-                Line2D([], [], label=f"tenth of decisions from {found.first_step:,}", **DECILES),
+                Line2D(
+                    [], [], label=f"tenths of decisions from {found.first_step:,} on", **DECILES
+                ),
                 Line2D([], [], color=MIXED_COLOUR, linewidth=0.8, label="as expected"),
             ],
         )

@@ -28,6 +28,11 @@ ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.
 """Layers that do the same to every number, whatever the shape around it."""
 
 
+TINY = 1e-18
+"""Added to gradients, far below what changes anything: the optimiser's memory of a unit that has
+gone quiet would else fade into denormal numbers, with which processors are many times slower."""
+
+
 @dataclass(frozen=True)
 class MLP:
     """Makes multi-layer perceptrons with ReLU.
@@ -182,6 +187,7 @@ class StackedNetworks:
         rate = self._training.learning_rate
         if self._training.optimizer == "sgd":
             return weights.sub_(gradient, alpha=rate)
+        gradient = gradient + TINY
         filled.lerp_(torch.ones_like(filled), self._rates.expand_as(filled))
         mean.lerp_(gradient, 0.1)
         square.lerp_(gradient.square(), 0.001)

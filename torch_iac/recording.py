@@ -108,9 +108,9 @@ class Recorder:
             if value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
         shadows = tuple(agent.shadows)
-        for name in RESERVED:
-            if name in shadows:
-                raise ValueError(f"a shadow must not be called {', '.join(RESERVED)}; got {name}")
+        for name in shadows:
+            if name in RESERVED:
+                raise ValueError(f"shadows must not be called {', '.join(RESERVED)}, got {name}")
         self.folder = Path(folder)
         _claim(self.folder)
         known = {

@@ -12,14 +12,13 @@ from typing import Any
 
 import pybullet as p
 
-from torch_iac_envs.room import Room
+from torch_iac_envs.room import ACCELERATION, Room
 
 GRAVITY = 9.81  # m/s2
 SLICE = 0.1  # s that one call of the engine advances; a decision is a whole number of them
 SOLVER_ITERATIONS = 15
 
 ROBOT_MASS, WHEEL_MASS, TOY_MASS = 2.0, 0.1, 0.1  # kg
-ACCELERATION = 8.0  # m/s2 that the motors can give: full speed is reached in about 0.1 s
 CHASSIS_HEIGHT = 0.08  # m
 SKID_RADIUS = 0.02  # m
 SKID_CLEARANCE = 0.001  # m; without it the skids would carry the weight that gives wheels grip

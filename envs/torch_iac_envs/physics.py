@@ -9,9 +9,8 @@ import pybullet as p
 from numpy.typing import NDArray
 
 from torch_iac_envs.bodies import SLICE, build, motor_torque
-from torch_iac_envs.room import Room
+from torch_iac_envs.room import TOY_ROLL, Room
 
-TOY_ROLL = 0.1  # what is left of a kick's speed when the toy brakes
 STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
 
 # The camera, in halves of the room's side, and the height of what it sees, in degrees.

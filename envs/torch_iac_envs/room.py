@@ -19,6 +19,10 @@ ZONE_ENDS = (np.float32(1 / 3), np.float32(2 / 3))
 ZONE_NAMES = ("f1", "f2", "f3")
 ZONE_RANDOM, ZONE_STILL, ZONE_JUMP = range(3)
 
+ACCELERATION = 8.0  # m/s2 that the motors can give: full speed is reached in about 0.1 s
+TOY_ROLL = 0.1  # what is left of a kick's speed when the toy brakes
+DIRECTION_NOISE = 2.0  # rad of the toy's direction for a metre of a distance
+
 
 @dataclass(frozen=True)
 class Room:
@@ -90,3 +94,9 @@ def sensor_bounds(
     low = [0.0] * (n_beams + 1) + [-1.0] * directions
     high = [room.diagonal] * (n_beams + 1) + [1.0] * directions
     return np.array(low, np.float32), np.array(high, np.float32)
+
+
+def check_at_least(name: str, value: float, least: float) -> None:
+    """Refuse an argument that is less than it may be, infinite or not a number."""
+    if not least <= value < float("inf"):
+        raise ValueError(f"{name} must be at least {least} and finite, got {value}")

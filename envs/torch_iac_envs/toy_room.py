@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from torch_iac_envs import room as layout
 from torch_iac_envs.physics import Command, Physics, Vector, resting_state
-from torch_iac_envs.room import Room, zone_of
+from torch_iac_envs.room import Room, check_at_least, zone_of
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
@@ -18,7 +18,6 @@ Action = NDArray[np.float32]
 State = dict[str, NDArray[Any]]
 
 PICTURE_SIZE = (480, 360)
-DIRECTION_NOISE = 2.0  # rad of the direction for a metre of a distance
 
 
 class ToyRoom(gym.Env[Observation, Action]):
@@ -74,11 +73,11 @@ class ToyRoom(gym.Env[Observation, Action]):
         substeps: int = 8,
     ) -> None:
         _check_render_mode(render_mode)
-        _check_at_least("beams", beams, 0)
-        _check_at_least("sensor_noise", sensor_noise, 0)
-        _check_at_least("actuator_noise", actuator_noise, 0)
-        _check_at_least("keyframe_every", keyframe_every, 1)
-        _check_at_least("substeps", substeps, 1)
+        check_at_least("beams", beams, 0)
+        check_at_least("sensor_noise", sensor_noise, 0)
+        check_at_least("actuator_noise", actuator_noise, 0)
+        check_at_least("keyframe_every", keyframe_every, 1)
+        check_at_least("substeps", substeps, 1)
         self.render_mode = render_mode
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
@@ -234,7 +233,7 @@ class ToyRoom(gym.Env[Observation, Action]):
         noise = self.np_random.normal(0.0, self._sensor_noise, len(distances) + 1)
         values = distances + noise[:-1]
         if self._toy_direction:
-            bearing = reading.toy_bearing + DIRECTION_NOISE * noise[-1]
+            bearing = reading.toy_bearing + layout.DIRECTION_NOISE * noise[-1]
             there = reading.toy_distance > 0
             values = np.append(values, (there * np.cos(bearing), there * np.sin(bearing)))
         box = self.observation_space
@@ -258,8 +257,3 @@ def _check_render_mode(render_mode: str | None) -> None:
     # Without a display pybullet would end the whole process.
     if render_mode == "human" and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise RuntimeError("render_mode 'human' needs a display, got no DISPLAY variable")
-
-
-def _check_at_least(name: str, value: float, least: float) -> None:
-    if not least <= value < float("inf"):
-        raise ValueError(f"{name} must be at least {least} and finite, got {value}")

@@ -3,6 +3,7 @@
 Worlds are driven through Gymnasium's vector interface, as an agent drives them.
 """
 
+from itertools import islice
 from typing import Any
 
 import gymnasium as gym
@@ -217,11 +218,11 @@ def _lives_in_the_open(
     env: gym.vector.VectorEnv[Any, Any, Any], actions: list[list[float]]
 ) -> list[list[Array]]:
     """Return what is sensed in lives that begin where no wall is in the way of one decision."""
-    lives = [_live(env, actions, seed, close=False) for seed in range(40)]
     clear = ROOM.full_speed * ROOM.drive_seconds + ROOM.chassis
-    lives = [life for life in lives if life[0][:8].min() > clear]
-    assert len(lives) >= 3
-    return lives
+    first = ((seed, np.asarray(env.reset(seed=seed)[0])[0, :8].min()) for seed in range(500))
+    seeds = list(islice((seed for seed, nearest in first if nearest > clear), 3))
+    assert len(seeds) == 3
+    return [_live(env, actions, seed, close=False) for seed in seeds]
 
 
 def _random_actions(n_decisions: int) -> list[list[float]]:

@@ -1,0 +1,385 @@
+"""`ToyRoomKinematic`, the toy room for thousands of robots at once, on any torch device.
+
+Shapes: `A` worlds, `W` the two wheels or the two coordinates x and y. Numbers of one kind lie side
+by side, worlds last, so that a world's results do not depend, to the last bit, on how many others
+there are.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torch_iac_envs import room as layout
+from torch_iac_envs.randomness import normal, pack_seeds, uniform
+from torch_iac_envs.room import Room, check_at_least
+
+SLICE = 0.025  # s that the robot's motion is advanced by; a decision is a whole number of them
+WALL_FRICTION = 0.1  # of the chassis on a wall
+# What a wall leaves of the toy's speed towards it. Less than the engine is told (0.9), because it
+# loses speed when it keeps a fast toy from tunnelling; of 0.4 to 1, this comes nearest to where the
+# engine's toys land.
+TOY_BOUNCE = 0.65
+
+State = dict[str, Tensor]
+
+
+class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tensor]):
+    """The toy room of `ToyRoom` as batched arithmetic: `num_envs` worlds in one step.
+
+    Actions, sensors, their names and bounds, noise and the toy's rules are those of `ToyRoom`.
+    Instead of a physics engine there are a robot whose wheels do not slip, with motors and walls
+    that push as hard as there, and a toy whose bounces are solved in closed form. Observations,
+    rewards and `info["zone"]` are tensors on `device`; actions may be tensors or arrays.
+
+    A world's random numbers depend on its own seed and on how often it was stepped or reset since
+    it was seeded, and on nothing else: world i of many equals world i alone.
+
+    Args:
+        num_envs: Number of worlds.
+        beams: Number of infra-red beams to the walls.
+        toy_direction: Whether the toy's direction is sensed.
+        sensor_noise: Standard deviation of each distance (m); the toy's direction gets twice this
+            number in radians.
+        actuator_noise: Standard deviation of each wheel's speed, as a share of full speed.
+        device: Where the worlds are.
+        check_actions: Whether to check that actions are within their bounds. On a GPU the check
+            waits for all that was computed before.
+
+    Attributes:
+        room: The room's measures, a `Room`.
+
+    Raises:
+        ValueError: An argument is outside its range.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - the type that VectorEnv declares
+        "render_modes": [],
+        "autoreset_mode": gym.vector.AutoresetMode.DISABLED,
+    }
+    room: ClassVar[Room] = Room()
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        beams: int = 8,
+        toy_direction: bool = True,
+        sensor_noise: float = 0.01,
+        actuator_noise: float = 0.02,
+        device: str | torch.device = "cpu",
+        check_actions: bool = True,
+    ) -> None:
+        check_at_least("num_envs", num_envs, 1)
+        check_at_least("beams", beams, 0)
+        check_at_least("sensor_noise", sensor_noise, 0)
+        check_at_least("actuator_noise", actuator_noise, 0)
+        self.num_envs = num_envs
+        self.device = torch.device(device)
+        self._toy_direction = toy_direction
+        self._sensor_noise = sensor_noise
+        self._actuator_noise = actuator_noise
+        self._check_actions = check_actions
+        self._beams = torch.arange(beams, device=self.device) * (2 * math.pi / max(beams, 1))
+        self._declare_spaces(beams)
+        self._seeds: Tensor | None = None
+        self._moment = 0
+
+    def _declare_spaces(self, beams: int) -> None:
+        low, high = layout.sensor_bounds(self.room, beams, self._toy_direction)
+        self.single_observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        low_action, high_action = (
+            np.array(bound, np.float32) for bound in (layout.ACTION_LOW, layout.ACTION_HIGH)
+        )
+        self.single_action_space = gym.spaces.Box(low_action, high_action, dtype=np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._sensor_bounds = [torch.tensor(b, device=self.device)[:, None] for b in (low, high)]
+        self._action_bounds = [
+            torch.tensor(bound, device=self.device) for bound in (low_action, high_action)
+        ]
+        self.metadata = {
+            **type(self).metadata,
+            "action_names": layout.ACTION_NAMES,
+            "sensor_names": layout.sensor_names(beams, self._toy_direction),
+            "zone_names": layout.ZONE_NAMES,
+        }
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Put every robot and toy anywhere in its room and return what the robots sense.
+
+        Args:
+            seed: One for each world, or that of the first world, from which the others count up.
+                Without it each world's random numbers go on; the first time they start anywhere.
+            options: Not used.
+
+        Raises:
+            ValueError: There are not as many seeds as worlds.
+        """
+        del options
+        if seed is not None or self._seeds is None:
+            self._seeds, self._moment = self._checked_seeds(seed), 0
+        places, uniforms = self._draw(5, self._n_sensor_noises)
+        places = 2 * places - 1
+        self._position = places[:2] * self.room.robot_reach  # (W, A)
+        self._toy = places[2:4] * self.room.toy_reach  # (W, A)
+        self._heading = places[4] * math.pi  # (A,)
+        return self._sense(uniforms), {}
+
+    def step(
+        self, actions: Tensor | NDArray[Any]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Live through one decision in every world.
+
+        Args:
+            actions: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(A, 3)`.
+
+        Returns:
+            What is sensed afterwards, rewards of 0, False, False and the sounds' zones.
+
+        Raises:
+            RuntimeError: The worlds were not reset.
+            ValueError: The actions' shape or their values are not as above.
+        """
+        self._check_started("step")
+        *wheels, sound = self._checked_actions(actions)
+        zone = sum((sound > float(end)).long() for end in layout.ZONE_ENDS)
+        assert isinstance(zone, Tensor)  # noqa: S101 - tells the type checker
+        kick, uniforms, sensor_uniforms = self._draw(2, 2, self._n_sensor_noises)
+        speeds = torch.stack(wheels) + self._actuator_noise * normal(uniforms)
+        self._position, self._heading = drive(self.room, self._position, self._heading, speeds)
+        self._toy = self._move_toy(zone, *kick)
+        nothing = torch.zeros(self.num_envs, device=self.device)
+        over = torch.zeros(2, self.num_envs, dtype=torch.bool, device=self.device)
+        return self._sense(sensor_uniforms), nothing, over[0], over[1], {"zone": zone}
+
+    def get_state(self) -> State:
+        """Return all that the future depends on, as a dict of tensors.
+
+        `robot` holds each robot's x, y (m) and heading (rad), shape `(A, 3)`; `toy` each toy's x
+        and y, shape `(A, 2)`; `seeds` the worlds' seeds, shape `(A,)`; `moment` how often numbers
+        were drawn from them.
+
+        Raises:
+            RuntimeError: The worlds were not reset.
+        """
+        seeds = self._check_started("get_state")
+        return {
+            "robot": torch.stack([*self._position, self._heading], 1),
+            "toy": self._toy.T.clone(memory_format=torch.contiguous_format),
+            "seeds": seeds.clone(),
+            "moment": torch.tensor(self._moment),
+        }
+
+    def set_state(self, state: State) -> None:
+        """Go on from what `get_state` returned, exactly; the arguments must be the same as then.
+
+        Raises:
+            ValueError: The state is not that of as many worlds.
+        """
+        for name, shape in (("robot", (3,)), ("toy", (2,)), ("seeds", ())):
+            if state[name].shape != (self.num_envs, *shape):
+                raise ValueError(
+                    f"{name} must have shape {(self.num_envs, *shape)}, "
+                    f"got {tuple(state[name].shape)}"
+                )
+        robot, self._toy = (
+            state[name]
+            .to(self.device, torch.float32)
+            .T.clone(memory_format=torch.contiguous_format)
+            for name in ("robot", "toy")
+        )
+        self._position, self._heading = robot[:2], robot[2]
+        self._seeds = state["seeds"].to(self.device, torch.int64, copy=True)
+        self._moment = int(state["moment"])
+
+    def _check_started(self, what: str) -> Tensor:
+        if self._seeds is None:
+            raise RuntimeError(f"reset must be called before {what}")
+        return self._seeds
+
+    def _checked_seeds(self, seed: int | Sequence[int] | None) -> Tensor:
+        if seed is None:
+            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must name one for each of {self.num_envs} worlds, got {seeds}")
+        return pack_seeds(seeds, self.device)
+
+    def _checked_actions(self, actions: Tensor | NDArray[Any]) -> Tensor:
+        """Return the actions, shape `(3, A)`."""
+        actions = torch.as_tensor(actions, dtype=torch.float32, device=self.device)
+        if actions.shape != (self.num_envs, 3):
+            raise ValueError(
+                f"actions must have shape {(self.num_envs, 3)}, got {tuple(actions.shape)}"
+            )
+        low, high = self._action_bounds
+        # Not-a-number equals nothing, itself included.
+        if self._check_actions and not torch.equal(actions.clamp(low, high), actions):
+            _refuse(actions.cpu())
+        return actions.T.contiguous()
+
+    @property
+    def _n_sensor_noises(self) -> int:
+        n_noises = len(self._beams) + 2
+        return n_noises + n_noises % 2  # normal numbers come in pairs
+
+    def _draw(self, *counts: int) -> tuple[Tensor, ...]:
+        """Return new uniform numbers, one tensor of shape `(count, A)` for each count."""
+        numbers = uniform(self._check_started("drawing"), self._moment, sum(counts))
+        self._moment += 1
+        return torch.split(numbers, list(counts))
+
+    def _move_toy(self, zone: Tensor, speed: Tensor, direction: Tensor) -> Tensor:
+        """Return where the toys end, shape `(W, A)`, once the robots are where they end."""
+        slowest, fastest = self.room.kick_speed
+        angle = (2 * direction - 1) * math.pi
+        kick = (slowest + (fastest - slowest) * speed) * torch.stack([angle.cos(), angle.sin()])
+        reach = self.room.toy_reach
+        kicked = roll(self._toy, kick, self.room.drive_seconds, reach)
+        kicked = roll(kicked, kick * layout.TOY_ROLL, self.room.brake_seconds, reach)
+        toy = torch.where(zone == layout.ZONE_RANDOM, kicked, self._toy)
+        return torch.where(zone == layout.ZONE_JUMP, self._position, toy)
+
+    def _sense(self, uniforms: Tensor) -> Tensor:
+        """Return what the robots sense, shape `(A, sensors)`."""
+        noise = self._sensor_noise * normal(uniforms)
+        n_beams = len(self._beams)
+        walls = wall_distances(self.room, self._position, self._heading + self._beams[:, None])
+        towards = self._toy - self._position
+        gap = towards.square().sum(0).sqrt()
+        distance = (gap - self.room.toy_radius).clamp(min=0)
+        readings = [walls + noise[:n_beams], (distance + noise[n_beams])[None]]
+        if self._toy_direction:
+            # Turned into the robot's frame; no arctangent, whose last digits depend on `A`.
+            turn = layout.DIRECTION_NOISE * noise[n_beams + 1] - self._heading
+            x, y = towards / gap.clamp(min=self.room.toy_radius) * (distance > 0)
+            cos, sin = turn.cos(), turn.sin()
+            readings.append(torch.stack([x * cos - y * sin, x * sin + y * cos]))
+        low, high = self._sensor_bounds
+        return torch.cat(readings).clamp(low, high).T.contiguous()
+
+
+def drive(room: Room, position: Tensor, heading: Tensor, speeds: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where the robots are after one decision, `(W, A)`, and their headings, `(A,)`.
+
+    The wheels never slip. A motor changes its wheel's speed by `ACCELERATION` at most, a wall
+    takes from the wheels what would drive a corner of the chassis into it.
+
+    Args:
+        room: The room's measures.
+        position: The robots' centres, shape `(W, A)`.
+        heading: Shape `(A,)`.
+        speeds: Left and right wheel's speed, as a share of full speed, shape `(W, A)`.
+    """
+    driven = speeds * (room.full_speed * SLICE)
+    gain = layout.ACCELERATION * SLICE**2
+    travel = torch.zeros_like(driven)  # of each wheel in one slice
+    n_driven = round(room.drive_seconds / SLICE)
+    for number in range(round(room.decision_seconds / SLICE)):
+        wanted = driven if number < n_driven else torch.zeros_like(driven)
+        travel = travel + (wanted - travel).clamp(-gain, gain)
+        travel = travel - _pushed_back(room, *_rolled(room, position, heading, travel), travel)
+        position, heading = _rolled(room, position, heading, travel)
+        limit = room.side / 2 - _extent(room, heading)
+        position = position.clamp(-limit, limit)
+    return position, heading
+
+
+def _rolled(room: Room, position: Tensor, heading: Tensor, travel: Tensor) -> tuple[Tensor, Tensor]:
+    """Return positions and headings after the wheels rolled by `travel`, shape `(W, A)`."""
+    left, right = travel
+    half_turn = (right - left) / (2 * room.track)
+    middle = heading + half_turn
+    forward = torch.stack([middle.cos(), middle.sin()])
+    # The chord of the arc, to the second order: a slice turns by 0.19 rad at most.
+    chord = (left + right) * (0.5 - half_turn.square() / 12)
+    return position + chord * forward, heading + 2 * half_turn
+
+
+def _extent(room: Room, heading: Tensor) -> Tensor:
+    return room.chassis / 2 * (heading.cos().abs() + heading.sin().abs())
+
+
+def _pushed_back(room: Room, position: Tensor, heading: Tensor, travel: Tensor) -> Tensor:
+    """Return the travel that walls and their friction take from the wheels, shape `(W, A)`.
+
+    For each of the two nearest walls, the corner deepest in it counts.
+
+    Args:
+        room: The room's measures.
+        position: Where the robots would be, walls apart, shape `(W, A)`.
+        heading: Where they would face, shape `(A,)`.
+        travel: What the wheels would roll, shape `(W, A)`.
+    """
+    half = room.chassis / 2
+    side = torch.where(position < 0, -1.0, 1.0)
+    cos, sin = heading.cos(), heading.sin()
+    # The walls' normals, outwards, in the robots' frames; one row for the walls across each axis.
+    ahead, aside = side * torch.stack([cos, sin]), side * torch.stack([-sin, cos])
+    corner_ahead = torch.where(ahead < 0, -half, half)
+    corner_aside = torch.where(aside < 0, -half, half)
+    reach = ahead * corner_ahead + aside * corner_aside
+    depth = (position.abs() + reach - room.side / 2).clamp(min=0)
+    # How far a wheel's travel moves the corner into the wall, and along it.
+    turn = (aside * corner_ahead - ahead * corner_aside) / room.track
+    into = torch.stack([ahead / 2 - turn, ahead / 2 + turn])  # (W, walls, A)
+    along = torch.stack([-aside / 2 - reach / room.track, -aside / 2 + reach / room.track])
+    push = depth / into.square().sum(0)
+    pushed = (push * into).sum(1)
+    slip = (along * (travel - pushed)[:, None]).sum(0) / along.square().sum(0)
+    rub = slip.clamp(-WALL_FRICTION * push, WALL_FRICTION * push)
+    return pushed + (rub * along).sum(1)
+
+
+def roll(place: Tensor, velocity: Tensor, seconds: float, reach: float) -> Tensor:
+    """Return where a ball is that bounces between walls, in closed form, all of one shape.
+
+    Each coordinate keeps to itself. Once the ball has met a wall, bounce n + 1 follows bounce n
+    after `2 * reach / speed`, and each bounce leaves `TOY_BOUNCE` of the speed: a geometric series.
+
+    Args:
+        place: Where it starts, in [-reach, reach].
+        velocity: With which it starts.
+        seconds: How long it rolls.
+        reach: How far from the middle it can get.
+    """
+    speed, onwards = velocity.abs(), torch.where(velocity < 0, -1.0, 1.0)
+    travel = speed * seconds
+    first = reach - onwards * place  # to the first wall
+    # The path after the first wall, were there no loss, in widths of the room.
+    beyond = (travel - first).clamp(min=0) / (2 * reach)
+    ratio = 1 / TOY_BOUNCE
+    crossings = (torch.log1p(beyond * (1 - TOY_BOUNCE)) / math.log(ratio)).floor()
+    left = (-math.log(ratio) * crossings).exp()  # of the speed after the first bounce
+    since = (beyond - (1 / left - 1) / (1 - TOY_BOUNCE)) * left * TOY_BOUNCE  # the last bounce
+    end = torch.where(crossings % 2 == 0, 1 - 2 * since, 2 * since - 1) * reach * onwards
+    return torch.where(travel < first, place + velocity * seconds, end).clamp(-reach, reach)
+
+
+def wall_distances(room: Room, position: Tensor, directions: Tensor) -> Tensor:
+    """Return how far the walls are from `position`, `(W, A)`, along `directions`, `(beams, A)`."""
+    across, along = (
+        (room.side / 2 - cosine.sign() * coordinate) / cosine.abs()
+        for cosine, coordinate in zip((directions.cos(), directions.sin()), position, strict=True)
+    )
+    return torch.minimum(across, along)
+
+
+def _refuse(actions: Tensor) -> None:
+    bounds = zip(layout.ACTION_NAMES, layout.ACTION_LOW, layout.ACTION_HIGH, strict=True)
+    for column, (name, low, high) in enumerate(bounds):
+        for value in actions[:, column].tolist():
+            if not low <= value <= high:  # not-a-number compares false too
+                raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value:.7g}")
