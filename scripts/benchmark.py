@@ -3,7 +3,7 @@
     python -m scripts.benchmark
 
 One robot of each kind of expert develops in the toy room on one thread; the oracle,
-`tests/oracle.py`, lives through the same decisions as the first, with the same examples. Then
+`tests/oracle.py`, then lives through the decisions of the first, with the same examples. Then
 populations decide on made-up sensors, on all threads; their networks are held against the time that
 their multiplications alone would take at the speed of a large matrix product on this machine.
 Prints Markdown; `docs/benchmarks.md` holds a copy.
@@ -13,9 +13,10 @@ import os
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from random import random
 
@@ -117,8 +118,7 @@ def measure_robot(
     env = gym.make_vec(WORLD, num_envs=1)
     space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
     agent = iac.IAC(space, config, seeds=[benchmark.seed])
-    robot = oracle_of(config) if with_oracle else None
-    stopwatch = Stopwatch()
+    stopwatch, steps = Stopwatch(), []
     n_decisions = benchmark.steps if with_oracle else benchmark.short_steps
     sensors, _ = env.reset(seed=benchmark.seed)
     for _ in range(n_decisions):
@@ -127,33 +127,45 @@ def measure_robot(
         with stopwatch("world"):
             sensors, *_ = env.step(actions)
         with stopwatch("observe"):
-            step = agent.observe(sensors)
-        if robot is not None:
-            follow(robot, space, step, config.n_candidates, stopwatch)
+            steps.append(agent.observe(sensors))
     env.close()
+    if with_oracle:
+        live_again(iac.IAC(space, config, seeds=[benchmark.seed]), steps, stopwatch)
+        follow(oracle_of(config), space, steps, config.n_candidates, stopwatch)
     rows: dict[str, tuple[str, ...]] = {f"{name}: act and observe": ("act", "observe")}
     if with_oracle:
+        rows |= {f"{name}: the same without physics in between": ("again",)}
         rows |= {f"{name}: the oracle": ("oracle",), "the toy room": ("world",)}
     for row, parts in rows.items():
         times = stopwatch.last(benchmark.counted, *parts)
         print(f"| {row} | {n_decisions:,} | {np.median(times):.3f} | {times.mean():.3f} |")
 
 
+def live_again(agent: iac.IAC, steps: Sequence[iac.Step], stopwatch: Stopwatch) -> None:
+    """Let a robot of the same seed sense the same, and so do the same, with nothing in between."""
+    before = [step.sensors.numpy() for step in steps]
+    for sensors, after in pairwise(before):
+        with stopwatch("again"):
+            agent.act(sensors)
+            agent.observe(after)
+
+
 def follow(
     robot: Robot,
     space: iac.SensorimotorSpace,
-    step: iac.Step,
+    steps: Sequence[iac.Step],
     n_candidates: int,
     stopwatch: Stopwatch,
 ) -> None:
     """Let the oracle decide among as many candidates, then learn from what the robot did."""
-    context = scaled(space.sensors, step.sensors)
-    situation = scaled(space.actions, step.actions) + context
-    outcome = scaled(space.outcomes, step.outcomes)
-    with stopwatch("oracle"):
-        actions = [[random() for _ in space.actions] for _ in range(n_candidates)]
-        robot.choose([action + context for action in actions])
-        robot.observe(situation, outcome)
+    for step in steps:
+        context = scaled(space.sensors, step.sensors)
+        situation = scaled(space.actions, step.actions) + context
+        outcome = scaled(space.outcomes, step.outcomes)
+        with stopwatch("oracle"):
+            actions = [[random() for _ in space.actions] for _ in range(n_candidates)]
+            robot.choose([action + context for action in actions])
+            robot.observe(situation, outcome)
 
 
 def measure_population(
