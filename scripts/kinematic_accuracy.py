@@ -111,8 +111,7 @@ def _physical_life(wheels: Array) -> tuple[Array, Array]:
         x, y, heading = poses[row]
         physics.seat(resting_state(ROOM, (x, y), heading, (0.0, 0.0)))
         physics.advance(Command(left, right))
-        state = physics.read()
-        poses[row + 1] = *state[:2], _heading(state)
+        poses[row + 1] = physics.robot_pose()
     physics.close()
     return poses[:-1], poses[1:]
 
@@ -125,11 +124,6 @@ def _physical_landings(starts: Array, kicks: Array) -> Array:
         ends[row] = physics.read()[17:19]
     physics.close()
     return ends
-
-
-def _heading(state: Array) -> float:
-    i, j, k, w = state[3:7]
-    return math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
 
 def _clearance(poses: Array) -> Array:

@@ -71,15 +71,9 @@ def _ends(starts: Array, wheels: Array, substeps: int) -> Array:
     for row, ((x, y, heading), (left, right)) in enumerate(zip(starts, wheels, strict=True)):
         physics.seat(resting_state(room, (x, y), heading, (0.0, 0.0)))
         physics.advance(Command(left, right))
-        state = physics.read()
-        ends[row] = *state[:2], _heading(state)
+        ends[row] = physics.robot_pose()
     physics.close()
     return ends
-
-
-def _heading(state: Array) -> float:
-    i, j, k, w = state[3:7]
-    return math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
 
 def decisions_per_second(repeats: int) -> float:

@@ -134,12 +134,12 @@ class StackedNetworks:
         """Give rows `(F,)` the weights that the factory makes from each seed."""
         made = [nn.utils.parameters_to_vector(self._made(seed).parameters()) for seed in seeds]
         self._weights[rows] = torch.stack(made).detach().to(self._device)
-        for column in (self._mean, self._square, self._filled):
+        for column in self._memory:
             column[rows] = 0.0
 
     def copy(self, rows: Tensor, new_rows: Tensor) -> None:
         """Copy weights, and what the optimiser remembers, from rows `(F,)` to new rows `(F,)`."""
-        for column in (self._weights, self._mean, self._square, self._filled):
+        for column in (self._weights, *self._memory):
             column[new_rows] = column[rows]
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
@@ -162,7 +162,7 @@ class StackedNetworks:
             Shape `(A,)`, the loss in the last minibatch, before its step.
         """
         weights = self._weights.index_select(0, rows)
-        memory = [c.index_select(0, rows) for c in (self._mean, self._square, self._filled)]
+        memory = [column.index_select(0, rows) for column in self._memory]
         losses = weights.new_zeros(len(rows))
         for start in range(0, inputs.shape[1], minibatch_size):
             batch = inputs.narrow(1, start, minibatch_size)
@@ -174,11 +174,14 @@ class StackedNetworks:
                 (gradient,) = torch.autograd.grad(losses.sum(), weights)
             losses, weights = losses.detach(), self._step(weights.detach(), gradient, *memory)
         self._weights.index_copy_(0, rows, weights)
-        for column, rows_memory in zip(
-            (self._mean, self._square, self._filled), memory, strict=True
-        ):
-            column.index_copy_(0, rows, rows_memory)
+        for column, renewed in zip(self._memory, memory, strict=True):
+            column.index_copy_(0, rows, renewed)
         return losses
+
+    @property
+    def _memory(self) -> tuple[Tensor, Tensor, Tensor]:
+        """What the optimiser remembers of each network."""
+        return self._mean, self._square, self._filled
 
     def _step(
         self, weights: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, filled: Tensor

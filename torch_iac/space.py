@@ -76,7 +76,7 @@ class Scale:
 
     def outside(self, raw: Tensor) -> Tensor:
         """Return which values `(..., n)` `contains` objects to."""
-        return ~((raw >= self._least) & (raw <= self._most))
+        return raw.clamp(self._least, self._most) != raw  # NaN differs from itself
 
 
 @dataclass(frozen=True)

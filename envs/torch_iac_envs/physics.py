@@ -123,6 +123,11 @@ class Physics:
         spins = [value for wheel in wheels for value in wheel[:2]]
         return np.array([*self._read_body(self._robot), *spins, *self._read_body(self._toy)])
 
+    def robot_pose(self) -> tuple[float, float, float]:
+        """Return where the robot's centre is, x and y (m), and its heading (rad)."""
+        (x, y, _), (i, j, k, w) = p.getBasePositionAndOrientation(self._robot, **self._client)
+        return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+
     def advance(self, command: Command) -> None:
         """Let one decision happen; at its end the robot stands and the toy all but stands."""
         self._roll_toy(command.kick_x, command.kick_y)
@@ -136,7 +141,7 @@ class Physics:
 
     def sense(self) -> Reading:
         """Return what the sensors would read without noise, in one batch of rays."""
-        x, y, heading = self._robot_pose()
+        x, y, heading = self.robot_pose()
         toy_x, toy_y, _ = self._toy_position()
         gap = math.hypot(toy_x - x, toy_y - y)
         inside = gap <= self._room.toy_radius
@@ -207,16 +212,12 @@ class Physics:
                 time.sleep(SLICE)
 
     def _jump(self) -> None:
-        x, y, _ = self._robot_pose()
+        x, y, _ = self.robot_pose()
         place = (x, y, self._room.toy_radius)
         p.resetBasePositionAndOrientation(self._toy, place, _turn(0.0), **self._client)
         self._roll_toy(0.0, 0.0)
 
     # Reading the bodies.
-
-    def _robot_pose(self) -> tuple[float, float, float]:
-        (x, y, _), (i, j, k, w) = p.getBasePositionAndOrientation(self._robot, **self._client)
-        return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
     def _toy_position(self) -> Point:
         position: Point = p.getBasePositionAndOrientation(self._toy, **self._client)[0]
