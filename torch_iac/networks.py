@@ -129,10 +129,10 @@ class StackedNetworks:
 
     def reserve(self, n_rows: int) -> None:
         """Make room for `n_rows` networks."""
-        self._weights = reserve(self._weights, n_rows, 0.0)
-        self._mean = reserve(self._mean, n_rows, 0.0)
-        self._square = reserve(self._square, n_rows, 0.0)
-        self._filled = reserve(self._filled, n_rows, 0.0)
+        self._weights = reserve(self._weights, n_rows)
+        self._mean = reserve(self._mean, n_rows)
+        self._square = reserve(self._square, n_rows)
+        self._filled = reserve(self._filled, n_rows)
 
     def start(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Give rows `(F,)` the weights that the factory makes from each seed."""
