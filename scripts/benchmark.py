@@ -4,27 +4,32 @@
 
 One robot of each kind of expert develops in the toy room on one thread; the oracle,
 `tests/oracle.py`, then lives through the decisions of the first, with the same examples. Then
-populations decide on made-up sensors, on all threads; their networks are held against the time that
-their multiplications alone would take at the speed of a large matrix product on this machine.
-Prints Markdown; `docs/benchmarks.md` holds a copy.
+populations decide in the kinematic room, on all threads or on `--device`, and are held against the
+least time that they could take on this machine: nearest neighbours the time to read the examples of
+one region for each agent, networks the time that their multiplications take in a large matrix
+product. Prints Markdown; `docs/benchmarks.md` holds a copy.
+
+    python -m scripts.benchmark --no-robots --device cuda --populations knn:16384 mlp:4096 --profile
 """
 
 import os
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from random import random
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 import tyro
 from torch import Tensor, nn
+from torch.profiler import ProfilerActivity, profile
 
 import torch_iac as iac
 import torch_iac_envs  # noqa: F401 - registers the worlds
@@ -32,6 +37,7 @@ from tests.agreement import oracle_of, scaled
 from tests.oracle import Robot
 
 WORLD = "torch_iac_envs/ToyRoom-v0"
+KINEMATIC = "torch_iac_envs/ToyRoomKinematic-v0"
 
 
 class Waves(nn.Module):
@@ -55,10 +61,7 @@ ROBOTS = {
     "any module": iac.IACConfig(experts=iac.NetworkExperts(module=Waves)),
 }
 
-POPULATIONS: dict[str, tuple[int, iac.Experts]] = {
-    "nearest neighbour": (512, iac.KNNExperts()),
-    "MLP": (256, iac.MLPExperts()),
-}
+EXPERTS: dict[str, iac.Experts] = {"knn": iac.KNNExperts(), "mlp": iac.MLPExperts()}
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,16 @@ class Benchmark:
     """How many decisions the robot with nearest neighbours takes."""
     short_steps: int = 2_000
     """How many decisions the other robots take."""
-    population_steps: int = 600
-    """How many decisions a population takes."""
+    robots: bool = True
+    """Whether single robots are measured."""
+    populations: tuple[str, ...] = ("knn:512", "mlp:256")
+    """Experts and numbers of agents of the populations that are measured."""
+    population_steps: int = 1_000
+    """How many decisions a population takes; the second half is timed."""
+    device: str = "cpu"
+    """Where populations decide."""
+    profile: bool = False
+    """Whether to say in which operations populations spend their time."""
     counted: int = 500
     """Over how many of the last decisions of one robot times are taken."""
     seed: int = 0
@@ -100,15 +111,18 @@ def main(benchmark: Benchmark) -> None:
     """Print the tables."""
     print(f"{platform.machine()}, {cpu_model()}, {os.cpu_count()} cores, torch {torch.__version__}")
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    print("\n| one robot, one thread | decisions | median ms | mean ms |\n|---|---|---|---|")
-    for i, (name, config) in enumerate(ROBOTS.items()):
-        measure_robot(name, config, benchmark, with_oracle=i == 0)
-    torch.set_num_threads(threads)
-    print(f"\n| population, {threads} threads | agents | agent-decisions a second | of the floor |")
-    print("|---|---|---|---|")
-    for name, (n_agents, experts) in POPULATIONS.items():
-        measure_population(name, n_agents, experts, benchmark)
+    if benchmark.robots:
+        torch.set_num_threads(1)
+        print("\n| one robot, one thread | decisions | median ms | mean ms |\n|---|---|---|---|")
+        for i, (name, config) in enumerate(ROBOTS.items()):
+            measure_robot(name, config, benchmark, with_oracle=i == 0)
+        torch.set_num_threads(threads)
+    where = f"{threads} threads" if benchmark.device == "cpu" else device_name(benchmark.device)
+    print(f"\n| population, {where} | agents | agent-decisions a second | with the world | floor |")
+    print("|---|---|---|---|---|")
+    for population in benchmark.populations:
+        kind, _, n_agents = population.partition(":")
+        measure_population(kind, int(n_agents), benchmark)
 
 
 def measure_robot(
@@ -168,43 +182,92 @@ def follow(
             robot.observe(situation, outcome)
 
 
-def measure_population(
-    name: str, n_agents: int, experts: iac.Experts, benchmark: Benchmark
-) -> None:
-    """Let a population decide on made-up sensors and print how many decisions it takes."""
-    wires = tuple(iac.Dimension(f"s{i}", 0.0, 1.0) for i in range(11))
-    actions = tuple(iac.Dimension(f"a{i}", 0.0, 1.0) for i in range(3))
-    space = iac.SensorimotorSpace(actions, wires, wires[:1])
-    agent = iac.IAC(space, replace(iac.IACConfig(), experts=experts), range(n_agents))
-    stopwatch = Stopwatch()
-    sensors = torch.rand(n_agents, len(wires))
-    for _ in range(benchmark.population_steps):
-        with stopwatch("act"):
-            chosen = agent.act(sensors)
-        sensors = torch.rand(n_agents, len(wires))
-        sensors[:, 0] = torch.where(chosen[:, 2] > 2 / 3, 0.0, (chosen[:, 0] + sensors[:, 1]) / 2)
-        with stopwatch("observe"):
-            agent.observe(sensors)
-    times = stopwatch.last(benchmark.population_steps // 2, "act", "observe")
-    floor = (
-        "" if isinstance(experts, iac.KNNExperts) else f"{floor_ms(n_agents) / times.mean():.0%}"
+def measure_population(kind: str, n_agents: int, benchmark: Benchmark) -> None:
+    """Let a population live in the kinematic room and print how many decisions it takes."""
+    device = torch.device(benchmark.device)
+    env = gym.make_vec(KINEMATIC, n_agents, device=device, check_actions=False)
+    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+    config = iac.IACConfig(experts=EXPERTS[kind])
+    agent = iac.IAC(space, config, range(n_agents), device)
+    half = benchmark.population_steps // 2
+    sensors, _ = env.reset(seed=0)
+    sensors = live(agent, env, sensors, half)
+    with_world, sensors = timed(device, lambda: live(agent, env, sensors, half))
+    actions = torch.rand(n_agents, 3, device=device)
+    world, _ = timed(device, lambda: [env.step(actions) for _ in range(half)])
+    alone = with_world - world
+    floor = knn_floor(space, n_agents, device) if kind == "knn" else mlp_floor(n_agents, device)
+    print(
+        f"| {kind} | {n_agents:,} | {half * n_agents / alone:,.0f} "
+        f"| {half * n_agents / with_world:,.0f} | {half * floor / alone:.1%} |"
     )
-    print(f"| {name} | {n_agents} | {1000 * n_agents / times.mean():,.0f} | {floor} |")
+    if benchmark.profile:
+        print_profile(
+            device, lambda: [agent.act(sensors) is agent.observe(sensors) for _ in range(50)]
+        )
 
 
-def floor_ms(n_agents: int) -> float:
-    """Return how long the default MLP's multiplications take at the speed of a large product."""
+def live(
+    agent: iac.IAC, env: gym.vector.VectorEnv[Any, Any, Any], sensors: Tensor, n_decisions: int
+) -> Tensor:
+    """Let a population live in its world and return what it senses in the end."""
+    for _ in range(n_decisions):
+        sensors, *_ = env.step(agent.act(sensors))
+        agent.observe(sensors)
+    return sensors
+
+
+def timed(device: torch.device, work: Callable[[], Any]) -> tuple[float, Any]:
+    """Return how many seconds some work took, and what came of it."""
+    wait(device)
+    started = time.perf_counter()
+    result = work()
+    wait(device)
+    return time.perf_counter() - started, result
+
+
+def wait(device: torch.device) -> None:
+    """Wait until a GPU has done what it was told."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def knn_floor(space: iac.SensorimotorSpace, n_agents: int, device: torch.device) -> float:
+    """Return the seconds in which the examples of one region an agent can be read from memory."""
+    n_bytes = n_agents * iac.IACConfig().max_examples * 4 * len(space.situation)
+    block = torch.rand(2**26, device=device)
+    seconds = min(timed(device, block.clone)[0] for _ in range(10))
+    return n_bytes / (2 * 4 * len(block) / seconds)  # a copy reads and writes
+
+
+def mlp_floor(n_agents: int, device: torch.device) -> float:
+    """Return the seconds of the default MLP's multiplications at the speed of a large product."""
     n_weights = 14 * 32 + 32 * 32 + 32
-    samples = n_agents * 4 * 32
-    operations = 3 * 2 * n_weights * samples  # forwards once, backwards twice as much
-    size = 1024
-    matrix = torch.rand(size, size)
-    times = []
-    for _ in range(20):
-        started = time.perf_counter()
-        matrix @ matrix
-        times.append(time.perf_counter() - started)
-    return 1000 * operations / (2 * size**3 / float(np.median(times)))
+    operations = 3 * 2 * n_weights * n_agents * 4 * 32  # forwards once, backwards twice as much
+    size = 2048
+    matrix = torch.rand(size, size, device=device)
+    seconds = min(timed(device, lambda: matrix @ matrix)[0] for _ in range(10))
+    return operations / (2 * size**3 / seconds)
+
+
+def print_profile(device: torch.device, work: Callable[[], Any], n_rows: int = 12) -> None:
+    """Print the operations that take most of the time of some work."""
+    kinds = [ProfilerActivity.CUDA if device.type == "cuda" else ProfilerActivity.CPU]
+    with profile(activities=kinds) as profiler:
+        work()
+        wait(device)
+    spent = "self_device_time_total" if device.type == "cuda" else "self_cpu_time_total"
+    events = sorted(profiler.key_averages(), key=lambda event: -getattr(event, spent))
+    total = sum(getattr(event, spent) for event in events)
+    print("\n| operation | share of the time | calls |\n|---|---|---|")
+    for event in events[:n_rows]:
+        print(f"| `{event.key}` | {getattr(event, spent) / total:.0%} | {event.count} |")
+    print()
+
+
+def device_name(device: str) -> str:
+    """Return what a GPU calls itself."""
+    return torch.cuda.get_device_name(device)
 
 
 def cpu_model() -> str:

@@ -15,6 +15,7 @@ import tyro
 
 from scripts.study import Life, live_all
 from torch_iac import IACConfig, MetaPredictor
+from torch_iac.runs import Run
 
 
 @dataclass(frozen=True)
@@ -33,13 +34,7 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
-    runs = live_all(
-        (
-            Life(study.out / f"seed-{seed:03d}", IACConfig(meta=MetaPredictor()), seed, study.steps)
-            for seed in range(study.seeds)
-        ),
-        study.processes,
-    )
+    runs = robots_of(study.out, study.seeds, study.steps, study.processes)
     robots = [run.summary["agents"][0] for run in runs]
     print("| seed | first cut | focus on f3 | focus on f2 | f1 after 1,000 | f2 after 1,000 |")
     print("|---|---|---|---|---|---|")
@@ -66,6 +61,13 @@ def main(study: Study) -> None:
             f"range {ratios.min():.2f} to {ratios.max():.2f}; "
             f"within 25 % in {(np.abs(ratios - 1) <= 0.25).sum()} of {study.seeds}."
         )
+
+
+def robots_of(folder: Path, n_seeds: int, n_steps: int, processes: int) -> list[Run]:
+    """Return the runs of robots with the seeds 0, 1, ...; those that are not there yet are run."""
+    config = IACConfig(meta=MetaPredictor())
+    lives = [Life(folder / f"seed-{seed:03d}", config, seed, n_steps) for seed in range(n_seeds)]
+    return live_all(lives, processes)
 
 
 def came_first(first: float | None, second: float | None) -> bool:
