@@ -271,7 +271,7 @@ def test_a_pickle_is_never_unpickled(name: str, torch_file: bool, tmp_path: Path
 
 
 def agents(content: str) -> bytes:
-    return f'{{"agent": {content}, "world": null, "loop": null}}'.encode()
+    return f'{{"dict": {{"agent": {content}, "world": null, "loop": null}}}}'.encode()
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,9 @@ def agents(content: str) -> bytes:
         (agents('{"dict": {"a": 1, "a": 2}}'), "a name must stand once, got 'a' again"),
         (agents("{"), "JSON must be whole and strict"),
         (b"\xff\xfe", "JSON must be whole and strict"),
-        (b"[]", "a checkpoint must hold agent, world, loop"),
+        (b"[]", "a state must be made of known kinds"),
+        (b"{}", "a state must be made of known kinds"),
+        (b'{"dict": {}}', "state.json must hold agent, world, loop, got something else"),
         (agents("[1]"), "a state must be made of known kinds"),
         (agents('{"tensor": "elsewhere"}'), "a state must be made of known kinds"),
         (agents('{"tensor": [1]}'), "a state must be made of known kinds"),

@@ -93,25 +93,33 @@ def test_arrays_of_any_layout_come_back() -> None:
         (
             {"a": [object()]},
             TypeError,
-            "state/a/0 must be made of numbers to be saved, got a object",
+            "a/0 must be made of numbers to be saved, got a object",
         ),
         (
             {"a": np.array([None])},
             TypeError,
-            "state/a must hold plain numbers to be saved, got object",
+            "a must hold plain numbers to be saved, got object",
         ),
-        ({"a": np.array(["x"])}, TypeError, "state/a must hold plain numbers to be saved, got <U1"),
+        ({"a": np.array(["x"])}, TypeError, "a must hold plain numbers to be saved, got <U1"),
         (
             {"a": np.ones(1, complex)},
             TypeError,
-            "state/a must hold plain numbers to be saved, got c",
+            "a must hold plain numbers to be saved, got c",
         ),
         ({1: 2}, TypeError, "state must have names for keys, got 1"),
-        ({"a": float("nan")}, ValueError, "state/a must be finite, got nan"),
-        ({"a/b": np.ones(1), "a": {"b": np.ones(1)}}, ValueError, "state/a/b must name one tensor"),
+        ({"a": float("nan")}, ValueError, "a must be finite, got nan"),
+        ({"a/b": np.ones(1), "a": {"b": np.ones(1)}}, ValueError, "a/b must name one tensor"),
         ({1, 2}, TypeError, "state must be made of numbers to be saved, got a set"),
     ],
 )
 def test_what_cannot_be_packed_is_named(value: Any, kind: type[Exception], message: str) -> None:
     with pytest.raises(kind, match=message):
         pack(value)
+
+
+def test_what_could_not_be_read_back_is_not_written() -> None:
+    deep: Any = 1
+    for _ in range(60):
+        deep = [deep]
+    with pytest.raises(ValueError, match="JSON must be nested at most 100 deep, got more"):
+        through_a_file(deep)

@@ -35,6 +35,8 @@ FORMAT = 1
 
 STATE, CONTENT, MANIFEST, LATEST = "state.safetensors", "state.json", "manifest.json", "LATEST"
 
+PARTS = ("agent", "world", "loop")
+
 LONGEST_MANIFEST = 2**26
 """In bytes; what is longer is no manifest."""
 
@@ -153,11 +155,7 @@ class Checkpoints:
         raise FileNotFoundError(f"{self.folder} holds no checkpoint")
 
     def _files(self, checkpoint: Checkpoint) -> dict[str, bytes]:
-        parts = {"agent": checkpoint.agent, "world": checkpoint.world, "loop": checkpoint.loop}
-        tensors, content = {}, {}
-        for name, part in parts.items():
-            packed, content[name] = pack(part, name)
-            tensors.update(packed)
+        tensors, content = pack({name: getattr(checkpoint, name) for name in PARTS})
         files = {STATE: save(tensors), CONTENT: dump_json(content)}
         manifest = {
             "format": FORMAT,
@@ -305,13 +303,11 @@ def _read_tensors(data: bytes) -> dict[str, Tensor]:
 
 def _read_content(data: bytes, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
     try:
-        content = parse_json(data)
-        names = ("agent", "world", "loop")
-        if not isinstance(content, dict) or content.keys() != set(names):
-            raise ValueError(f"a checkpoint must hold {', '.join(names)}")
-        parts = {name: unpack(tensors, content[name]) for name in names}
+        parts = unpack(tensors, parse_json(data))
     except ValueError as error:
         raise _DamageError(f"{CONTENT}: {error}") from None
+    if not isinstance(parts, dict) or parts.keys() != set(PARTS):
+        raise _DamageError(f"{CONTENT} must hold {', '.join(PARTS)}, got something else")
     agent = parts["agent"]
     if not isinstance(agent, dict) or not all(isinstance(t, Tensor) for t in agent.values()):
         raise _DamageError(f"{CONTENT} must name the agents' tensors, got something else")

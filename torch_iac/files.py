@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +60,12 @@ def parse_json(data: bytes) -> Any:
 
 
 def dump_json(content: Any) -> bytes:
-    """Return JSON as this library writes it.
+    """Return JSON as this library writes it, which `parse_json` reads.
 
     Raises:
-        ValueError: A number is not finite.
+        ValueError: A number is not finite, or it is nested too deep.
     """
+    _check_depth(content)
     return (json.dumps(content, indent=2, allow_nan=False) + "\n").encode()
 
 
@@ -80,8 +81,8 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _check_depth(content: Any) -> None:
     level = [content]
     for _ in range(MOST_NESTED):
-        dicts = (part.values() for part in level if isinstance(part, dict))
-        lists = (part for part in level if isinstance(part, list))
+        dicts = (part.values() for part in level if isinstance(part, Mapping))
+        lists = (part for part in level if isinstance(part, (list, tuple)))
         level = [part for parts in (*dicts, *lists) for part in parts]
     if level:
         raise ValueError(_TOO_DEEP)

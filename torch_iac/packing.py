@@ -13,23 +13,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
+ROOT = "state"
+"""What the whole is called."""
+
 LARGEST_NUMBER = 8
 """In bytes; what is longer has no place in a file of tensors."""
 
 
-def pack(value: Any, name: str = "state") -> tuple[dict[str, Tensor], Any]:
+def pack(value: Any) -> tuple[dict[str, Tensor], Any]:
     """Return the tensors of a nested state and the JSON that says where they belong.
 
-    Args:
-        value: What to pack; it is copied.
-        name: What the names of the tensors, and errors, begin with.
+    Tensors that are on the CPU already are not copied, unless they share their memory.
 
     Raises:
         TypeError: Something can be in neither.
         ValueError: A number is not finite, or two tensors would have one name.
     """
     tensors: dict[str, Tensor] = {}
-    return tensors, _packed(value, name, tensors)
+    content = _packed(value, "", tensors)
+    seen = set()
+    for name, tensor in tensors.items():
+        memory = tensor.untyped_storage().data_ptr()
+        if memory in seen:
+            tensors[name] = tensor.clone()
+        seen.add(memory)
+    return tensors, content
 
 
 def unpack(tensors: Mapping[str, Tensor], content: Any) -> Any:
@@ -64,30 +72,30 @@ def _packed(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
         return value
     if type(value) is float:  # a numpy number may be a float too
         if not math.isfinite(value):
-            raise ValueError(f"{name} must be finite, got {value}")
+            raise ValueError(f"{name or ROOT} must be finite, got {value}")
         return value
     if isinstance(value, dict):
-        return {
-            "dict": {_key(k, name): _packed(v, f"{name}/{k}", tensors) for k, v in value.items()}
-        }
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{name or ROOT} must have names for keys, got {key!r}")
+        return {"dict": {key: _packed(v, _join(name, key), tensors) for key, v in value.items()}}
     if type(value) in (list, tuple):
-        parts = [_packed(part, f"{name}/{i}", tensors) for i, part in enumerate(value)]
+        parts = [_packed(part, _join(name, i), tensors) for i, part in enumerate(value)]
         return {type(value).__name__: parts}
+    name = name or ROOT
     if name in tensors:
         raise ValueError(f"{name} must name one tensor, got two")
     kind, tensors[name] = _as_tensor(value, name)
     return {kind: name}
 
 
-def _key(key: Any, name: str) -> str:
-    if not isinstance(key, str):
-        raise TypeError(f"{name} must have names for keys, got {key!r}")
-    return key
+def _join(name: str, key: str | int) -> str:
+    return f"{name}/{key}" if name else str(key)
 
 
 def _as_tensor(value: Any, name: str) -> tuple[str, Tensor]:
     if isinstance(value, Tensor):
-        return "tensor", value.detach().to("cpu", copy=True).contiguous()
+        return "tensor", value.detach().cpu().contiguous()
     if not isinstance(value, (np.ndarray, np.generic)):
         raise TypeError(f"{name} must be made of numbers to be saved, got a {type(value).__name__}")
     if value.dtype.kind not in "biuf" or value.dtype.itemsize > LARGEST_NUMBER:
