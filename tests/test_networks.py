@@ -37,7 +37,22 @@ def smooth(n_inputs: int, n_outputs: int) -> nn.Module:
     return nn.Sequential(nn.Linear(n_inputs, 4), nn.Tanh(), nn.Linear(4, n_outputs), nn.Sigmoid())
 
 
-FACTORIES: list[Factory] = [MLP(()), MLP((4,)), MLP((7, 1)), Plain, smooth, unbiased, nested]
+def shared(n_inputs: int, n_outputs: int) -> nn.Module:
+    """One layer object in two places, a function and then weights."""
+    act, hidden = nn.Tanh(), nn.Linear(4, 4)
+    first, last = nn.Linear(n_inputs, 4), nn.Linear(4, n_outputs)
+    return nn.Sequential(first, act, hidden, act, hidden, act, last)
+
+
+def repeated(n_inputs: int, n_outputs: int) -> nn.Module:
+    act = nn.ReLU()
+    return nn.Sequential(nn.Linear(n_inputs, 4), act, nn.Linear(4, n_outputs), act)
+
+
+FACTORIES: list[Factory] = [
+    *(MLP(()), MLP((4,)), MLP((7, 1)), Plain),
+    *(smooth, unbiased, nested, shared, repeated),
+]
 
 
 def stack(factory: Factory, n_rows: int = 5, **values: Any) -> StackedNetworks:
@@ -83,7 +98,7 @@ def test_training_is_torchs_own_optimiser(factory: Factory, optimizer: str) -> N
         last = train(networks, [0, 2, 3])[1]
         for inputs, targets in zip(*batches, strict=True):
             optimiser.zero_grad()
-            loss = squared_error(module(inputs), targets).mean()
+            loss = nn.functional.mse_loss(module(inputs), targets)
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
         assert last.item() == pytest.approx(loss.item(), rel=1e-3)
@@ -202,6 +217,20 @@ def test_the_module_is_asked_as_in_use_not_as_in_training() -> None:
 
     networks = stack(forgetful)
     assert torch.equal(answers(networks, [0]), answers(networks, [0]))
+
+
+class Idle(Plain):
+    """A module with weights that it does not use."""
+
+    def __init__(self, n_inputs: int, n_outputs: int) -> None:
+        super().__init__(n_inputs, n_outputs)
+        self.unused = nn.Linear(2, 2)
+
+
+@pytest.mark.parametrize("rows", [[0], [0, 1]])
+def test_weights_that_are_not_used_do_no_harm(rows: list[int]) -> None:
+    first, last = train(stack(Idle), rows), train(stack(Idle), rows, 200)
+    assert (last < first).all()
 
 
 def weightless(n_inputs: int, n_outputs: int) -> nn.Module:  # noqa: ARG001

@@ -146,6 +146,8 @@ class IAC(Stateful):
         self.seeds = tuple(int(seed) for seed in seeds)
         self.device = _available(device)
         self.n_decisions = 0
+        # On a GPU sensors are checked with all else at the end of a decision, not when they come.
+        self._asks_late = self.device.type != "cpu"
 
         n_agents, action_dim = len(seeds), len(space.actions)
         outcome_dim, situation_dim = len(space.outcomes), len(space.situation)
@@ -251,7 +253,10 @@ class IAC(Stateful):
                 for name, pool in self.shadows.items()
             ),
         )
-        self._learn(rows, decision, outcomes, errors)
+        counts, losses = self._learn(rows, decision, outcomes, errors)
+        if self._judge(readings, decision, counts, losses):
+            full = (counts > self.config.max_examples).nonzero()[:, 0]
+            self._split(decision.nodes.take(full), rows.take(full))
         self.n_decisions += 1
         self._decision = None
         return step
@@ -309,10 +314,14 @@ class IAC(Stateful):
         given = torch.from_numpy(sensors) if isinstance(sensors, np.ndarray) else sensors
         # A copy, since worlds reuse their buffers.
         readings = given.to(self.device, torch.float32, copy=True)
+        if not self._asks_late:
+            self._refuse_outside(readings)
+        return readings
+
+    def _refuse_outside(self, readings: Tensor) -> None:
         if not self._sensor_scale.contains(readings):
             agent, column = self._sensor_scale.outside(readings).nonzero()[0].tolist()
             raise ValueError(_outside(self.space.sensors[column], agent, readings[agent, column]))
-        return readings
 
     def _candidates(self, readings: Tensor, numbers: Tensor) -> tuple[Candidates, Tensor]:
         actions = numbers.reshape(self.n_agents, self.config.n_candidates, len(self.space.actions))
@@ -350,44 +359,63 @@ class IAC(Stateful):
         predictions, errors = self._predict(pool, rows, decision, outcomes)
         return ShadowStep(name, self._outcome_scale.to_raw(predictions), errors)
 
-    def _learn(self, rows: Tensor, decision: _Decision, outcomes: Tensor, errors: Tensor) -> None:
+    def _learn(
+        self, rows: Tensor, decision: _Decision, outcomes: Tensor, errors: Tensor
+    ) -> tuple[Tensor, list[Tensor]]:
+        """Return how many examples each row has now, and the losses of all that learnt, `(A,)`."""
         self.history.add(rows, errors)
         if self.whole_history is not None:
             self.whole_history.add(self.tree.roots, errors)
         counts = self.examples.add(rows, decision.situations, outcomes)
-        for pool in (self.experts, *self.shadows.values()):
-            self._check_finite(pool.learn(self.examples, rows, self.n_decisions), decision.nodes)
+        pools = (self.experts, *self.shadows.values())
+        losses = [pool.learn(self.examples, rows, self.n_decisions) for pool in pools]
         if self.improvement is not None:
             _, errors_after = self._predict(self.experts, rows, decision, outcomes)
             gains = errors - errors_after
-            losses = self.improvement.learn(decision.situations, gains, self.n_decisions)
-            self._check_finite(losses, decision.nodes)
+            losses.append(self.improvement.learn(decision.situations, gains, self.n_decisions))
         if self.meta is not None:
-            losses = self.meta.learn(decision.situations, errors, self.n_decisions)
-            self._check_finite(losses, decision.nodes)
-        if counts.max().item() > self.config.max_examples:  # C1
-            full = (counts > self.config.max_examples).nonzero()[:, 0]
-            self._split(decision.nodes[full], rows[full])
+            losses.append(self.meta.learn(decision.situations, errors, self.n_decisions))
+        return counts, [loss for loss in losses if loss is not None]
 
-    def _check_finite(self, losses: Tensor | None, nodes: Tensor) -> None:
-        if losses is None or losses.isfinite().all():
-            return
-        agent = int((~losses.isfinite()).nonzero()[0])
-        raise FloatingPointError(
-            f"a loss must be finite, got {losses[agent].item()} in region "
-            f"{self.tree.region[nodes[agent]].item()} of agent {agent} at decision "
-            f"{self.n_decisions}"
-        )
+    def _judge(
+        self, readings: Tensor, decision: _Decision, counts: Tensor, losses: list[Tensor]
+    ) -> bool:
+        """Return whether a region is full (C1), unless something is wrong.
+
+        All that a decision must ask a GPU is asked here at once, since each answer is waited for.
+        """
+        wrong = [~loss.isfinite() for loss in losses]
+        if self._asks_late:
+            wrong += [self._sensor_scale.outside(seen) for seen in (decision.sensors, readings)]
+        full = counts > self.config.max_examples
+        *is_wrong, is_full = torch.stack([flags.any() for flags in (*wrong, full)]).tolist()
+        if any(is_wrong):
+            for seen in (decision.sensors, readings):
+                self._refuse_outside(seen)
+            for loss in losses:
+                self._refuse_infinite(loss, decision.nodes)
+        return bool(is_full)
+
+    def _refuse_infinite(self, losses: Tensor, nodes: Tensor) -> None:
+        bad = (~losses.isfinite()).nonzero()
+        if len(bad):
+            agent = int(bad[0])
+            raise FloatingPointError(
+                f"a loss must be finite, got {losses[agent].item()} in region "
+                f"{self.tree.region[nodes[agent]].item()} of agent {agent} at decision "
+                f"{self.n_decisions}"
+            )
 
     def _split(self, nodes: Tensor, rows: Tensor) -> None:
         situations = self.examples.situations[rows]  # (F, D, N)
         outcomes = self.examples.outcomes[rows]
         cut = best_cut(situations.mT, outcomes.mT, self.config.balance)
-        self.examples.forget_oldest(rows[~cut.found])
-        nodes, rows, situations = nodes[cut.found], rows[cut.found], situations[cut.found]
-        if not len(nodes):
-            return
-        cut = type(cut)(*(column[cut.found] for column in vars(cut).values()))
+        if not cut.found.all():
+            self.examples.forget_oldest(rows[~cut.found])
+            nodes, rows, situations = nodes[cut.found], rows[cut.found], situations[cut.found]
+            cut = type(cut)(*(column[cut.found] for column in vars(cut).values()))
+            if not len(nodes):
+                return
         split = self.tree.split(nodes, cut, self.examples.counts[rows], self.n_decisions)
         along_cut = situations.gather(
             1, cut.dimension[:, None, None].expand(-1, 1, situations.shape[2])

@@ -70,9 +70,9 @@ class Examples(Stateful):
             goes_right: Shape `(F, N)`, which examples go to the right child.
         """
         self.n_rows = split.n_rows
-        self.situations = reserve(self.situations, split.n_rows, math.inf)
-        self.outcomes = reserve(self.outcomes, split.n_rows, NO_EXAMPLE_OUTCOME)
-        self.counts = reserve(self.counts, split.n_rows, 0)
+        self.situations = reserve(self.situations, split.n_rows)
+        self.outcomes = reserve(self.outcomes, split.n_rows)
+        self.counts = reserve(self.counts, split.n_rows)
         situations, outcomes = self.situations[split.rows], self.outcomes[split.rows]
         for target, goes in ((split.rows, ~goes_right), (split.new_rows, goes_right)):
             counts = goes.sum(-1)

@@ -147,6 +147,7 @@ class RecentNetworks(Stateful):
         return self._networks.train(self._agents, inputs, outputs, size, self._loss)
 
 
-def gamma_loss(outputs: Tensor, errors: Tensor) -> Tensor:
-    """Return what MP makes smaller; it is least for outputs log(mean error + `SMALL_ERROR`)."""
-    return (errors + SMALL_ERROR) * torch.exp(-outputs) + outputs
+def gamma_loss(outputs: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what MP makes smaller, least for log(mean error + `SMALL_ERROR`), and its slope."""
+    ratio = (errors + SMALL_ERROR) * torch.exp(-outputs)
+    return ratio + outputs, 1 - ratio

@@ -107,9 +107,9 @@ class ErrorHistory(Stateful):
             inherit: Whether the children take over what their parents had.
         """
         self._n_rows = split.n_rows
-        self._sums = reserve(self._sums, split.n_rows, 0.0)
-        self._counts = reserve(self._counts, split.n_rows, 0)
-        self.progress = reserve(self.progress, split.n_rows, 0.0)
+        self._sums = reserve(self._sums, split.n_rows)
+        self._counts = reserve(self._counts, split.n_rows)
+        self.progress = reserve(self.progress, split.n_rows)
         for column in (self._sums, self._counts, self.progress):
             if not inherit:
                 column[split.rows] = 0

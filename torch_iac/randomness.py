@@ -12,7 +12,7 @@ from torch import Tensor
 _GOLDEN = -0x61C8864680B583EB  # 2**64 / golden ratio, as a signed 64-bit integer
 _MIX_1 = -0x40A7B892E31B1A47
 _MIX_2 = -0x6B2FB644ECCEEE15
-_BLOCK_NUMBERS = 2**20
+_BLOCK_NUMBERS = 2**15  # what is at work then stays in a processor's cache
 _UNIT_BITS = 23
 
 
@@ -52,18 +52,18 @@ class RandomStream:
         steps = torch.arange(start, start + self._block_size, device=self._key.device)
         decision_keys = _mix(self._key + (steps[:, None] + 1) * _GOLDEN)  # (B, A)
         bits = _mix(decision_keys[..., None] + self._lanes)  # (B, A, n)
-        return _logical_shift(bits, 64 - _UNIT_BITS).float() * 2.0**-_UNIT_BITS
+        return _logical_shift(bits, 64 - _UNIT_BITS).float().mul_(2.0**-_UNIT_BITS)
 
 
 def _mix(z: Tensor) -> Tensor:
-    """The finaliser of SplitMix64 (Steele, Lea and Flood, 2014), on 64-bit integers that wrap."""
-    z = (z ^ _logical_shift(z, 30)) * _MIX_1
-    z = (z ^ _logical_shift(z, 27)) * _MIX_2
-    return z ^ _logical_shift(z, 31)
+    """Mix 64-bit integers in place: SplitMix64's finaliser (Steele, Lea and Flood, 2014)."""
+    z.bitwise_xor_(_logical_shift(z, 30)).mul_(_MIX_1)
+    z.bitwise_xor_(_logical_shift(z, 27)).mul_(_MIX_2)
+    return z.bitwise_xor_(_logical_shift(z, 31))
 
 
 def _logical_shift(z: Tensor, bits: int) -> Tensor:
-    return (z >> bits) & ((1 << (64 - bits)) - 1)
+    return (z >> bits).bitwise_and_((1 << (64 - bits)) - 1)
 
 
 def _signed(seed: int) -> int:

@@ -244,7 +244,7 @@ class RegionTree(Stateful):
         """Return where `n_exits` exits of each node begin; they all lead to the node itself."""
         firsts = self._n_exits + n_exits * torch.arange(len(nodes), device=nodes.device)
         self._n_exits += n_exits * len(nodes)
-        self._exits = reserve(self._exits, self._n_exits, NONE)
+        self._exits = reserve(self._exits, self._n_exits)
         self._exits[firsts[:, None] + torch.arange(n_exits, device=nodes.device)] = nodes[:, None]
         return firsts
 
