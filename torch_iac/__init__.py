@@ -25,6 +25,7 @@ from torch_iac.networks import MLP
 from torch_iac.progress import ErrorHistory
 from torch_iac.regions import Cut, Genealogy, RegionTree, Split, best_cut
 from torch_iac.space import Dimension, SensorimotorSpace
+from torch_iac.state import Resumable, Stateful
 
 __all__ = [
     "IAC",
@@ -60,11 +61,13 @@ __all__ = [
     "Random",
     "RegionSummary",
     "RegionTree",
+    "Resumable",
     "SensorimotorSpace",
     "ShadowStep",
     "Softmax",
     "Split",
     "Stage",
+    "Stateful",
     "Step",
     "best_cut",
 ]

@@ -16,6 +16,7 @@ from torch_iac.progress import ErrorHistory
 from torch_iac.randomness import RandomStream
 from torch_iac.regions import Genealogy, RegionTree, best_cut
 from torch_iac.space import Dimension, Scale, SensorimotorSpace
+from torch_iac.state import State, Stateful
 
 Array = TypeVar("Array", np.ndarray, Tensor)
 
@@ -102,7 +103,7 @@ class _Decision:
     random: Tensor  # (A,)
 
 
-class IAC:
+class IAC(Stateful):
     """A population of robots driven by Intelligent Adaptive Curiosity.
 
     An agent's run depends on its own seed and on what its world returns, not on the others.
@@ -118,6 +119,18 @@ class IAC:
 
     Source: Oudeyer and Kaplan (2004).
     """
+
+    saved = (
+        "n_decisions",
+        "tree",
+        "examples",
+        "history",
+        "whole_history",
+        "experts",
+        "shadows",
+        "meta",
+        "improvement",
+    )
 
     def __init__(
         self,
@@ -247,6 +260,29 @@ class IAC:
         self.n_decisions += 1
         self._decision = None
         return step
+
+    def state(self) -> State:
+        """Return a copy of all that the future decisions depend on, besides the world.
+
+        Raises:
+            RuntimeError: An action waits for what comes of it.
+            TypeError: Experts, the agents' own or a shadow's, cannot be saved.
+        """
+        if self._decision is not None:
+            raise RuntimeError("a state lies between two decisions: call observe first")
+        return super().state()
+
+    def load_state(self, state: State) -> None:
+        """Go on, bit for bit, from what `state` returned.
+
+        The population must have been made with the same space, config and seeds.
+
+        Raises:
+            ValueError: A tensor is missing, has another type or shape, or is not known. The
+                population is then of no use any more.
+        """
+        super().load_state(state)
+        self._decision = None
 
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""

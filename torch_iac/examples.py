@@ -6,18 +6,20 @@ follows the number of leaves and not the size of the largest tree. `L` is the nu
 """
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torch_iac.regions import Split
+from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 NO_EXAMPLE_OUTCOME = 0.5
 """What is predicted without any example: the middle of the scale."""
 
 
-class Examples:
+class Examples(Stateful):
     """The examples of each leaf, oldest first.
 
     Attributes:
@@ -25,7 +27,10 @@ class Examples:
             that an absent example is never the nearest.
         outcomes: Shape `(L, K, N)`, in scaled units; `NO_EXAMPLE_OUTCOME` where there is none.
         counts: Shape `(L,)`, how many examples each row holds.
+        n_rows: How many rows are in use.
     """
+
+    tables: ClassVar = {"n_rows": ("situations", "outcomes", "counts")}
 
     def __init__(
         self,
@@ -35,6 +40,7 @@ class Examples:
         max_examples: int,
         device: torch.device,
     ) -> None:
+        self.n_rows = n_rows
         # One place more than a region may keep: the example that makes it split.
         size = max_examples + 1
         self.situations = torch.full((n_rows, situation_dim, size), math.inf, device=device)
@@ -63,6 +69,7 @@ class Examples:
             split: The regions that split.
             goes_right: Shape `(F, N)`, which examples go to the right child.
         """
+        self.n_rows = split.n_rows
         self.situations = reserve(self.situations, split.n_rows)
         self.outcomes = reserve(self.outcomes, split.n_rows)
         self.counts = reserve(self.counts, split.n_rows)

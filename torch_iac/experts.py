@@ -15,12 +15,16 @@ from torch_iac.examples import NO_EXAMPLE_OUTCOME, Examples
 from torch_iac.networks import MLP, Factory, StackedNetworks, Training, pick, squared_error
 from torch_iac.randomness import RandomStream
 from torch_iac.regions import Split
+from torch_iac.state import Stateful
 
 MINIBATCH_STREAM = 1
 
 
 class ExpertPool(Protocol):
-    """The experts of a population, one for each row."""
+    """The experts of a population, one for each row.
+
+    Runs are saved and resumed only with experts that are `Resumable` too.
+    """
 
     def predict(self, examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
         """Return the predicted outcomes, shape `(A, K)`, in scaled units.
@@ -65,7 +69,7 @@ class Experts(Protocol):
 
 
 @dataclass(frozen=True)
-class KNNExperts:
+class KNNExperts(Stateful):
     """Nearest neighbours: the mean outcome of the `k` nearest examples of the region.
 
     Distance is Euclidean in the unit cube; ties go to the older example. With fewer than `k`
@@ -175,7 +179,7 @@ class MLPExperts(NetworkTraining):
         return NetworkPool(networks, self, seeds, device)
 
 
-class NetworkPool:
+class NetworkPool(Stateful):
     """The networks of the regions of a population.
 
     Args:
@@ -184,6 +188,8 @@ class NetworkPool:
         seeds: One for each agent.
         device: Where they learn.
     """
+
+    saved = ("networks",)
 
     def __init__(
         self,

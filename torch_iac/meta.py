@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torch_iac.networks import MLP, Loss, StackedNetworks, Training, pick, squared_error
 from torch_iac.randomness import RandomStream
+from torch_iac.state import Stateful
 
 META_STREAM = 2
 SMALL_ERROR = 1e-4
@@ -78,12 +79,14 @@ class ImprovementPredictor(RecentTraining):
         return RecentNetworks(self, squared_error, situation_dim, seeds, device)
 
 
-class ErrorExpectation:
+class ErrorExpectation(Stateful):
     """The meta-predictors of a population at work.
 
     Args:
         networks: From situations to the logarithm of the error.
     """
+
+    saved = ("_networks",)
 
     def __init__(self, networks: "RecentNetworks") -> None:
         self._networks = networks
@@ -97,7 +100,7 @@ class ErrorExpectation:
         return self._networks.learn(situations, errors, step)
 
 
-class RecentNetworks:
+class RecentNetworks(Stateful):
     """One network an agent, from situation to a number, trained on the most recent pairs.
 
     Args:
@@ -107,6 +110,8 @@ class RecentNetworks:
         seeds: One for each agent.
         device: Where it learns.
     """
+
+    saved = ("_networks", "_situations", "_targets")
 
     def __init__(
         self,

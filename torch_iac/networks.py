@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
+from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 Factory = Callable[[int, int], nn.Module]
@@ -83,7 +84,7 @@ class Training:
             raise ValueError(f"optimizer must be adam or sgd, got {self.optimizer}")
 
 
-class StackedNetworks:
+class StackedNetworks(Stateful):
     """Networks of one shape; row `i` of each tensor belongs to network `i`.
 
     A `Sequential` of linear and elementwise layers runs as batched matrix products, anything else
@@ -102,6 +103,8 @@ class StackedNetworks:
             makes different ones from the same seed.
     """
 
+    tables: ClassVar = {"_n_rows": ("_weights", "_mean", "_square", "_filled")}
+
     def __init__(
         self,
         factory: Factory,
@@ -113,6 +116,7 @@ class StackedNetworks:
         self._make = partial(factory, n_inputs, n_outputs)
         self._training = training
         self._device = device
+        self._n_rows = 0
         self._template = self._made(0).to(device).eval().requires_grad_(False)
         self._check(n_inputs, n_outputs)
         shapes = {name: p.shape for name, p in self._template.named_parameters()}
@@ -129,6 +133,7 @@ class StackedNetworks:
 
     def reserve(self, n_rows: int) -> None:
         """Make room for `n_rows` networks."""
+        self._n_rows = max(self._n_rows, n_rows)
         self._weights = reserve(self._weights, n_rows)
         self._mean = reserve(self._mean, n_rows)
         self._square = reserve(self._square, n_rows)

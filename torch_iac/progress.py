@@ -1,13 +1,16 @@
 """Error histories and learning progress, a region at a time, in the region's own time."""
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
 from torch_iac.regions import Split
+from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 
-class ErrorHistory:
+class ErrorHistory(Stateful):
     """The errors that each leaf's expert made, and what they say of its learning progress.
 
     Learning progress is the mean of `window` errors as it was `delay` errors ago, less that mean
@@ -31,9 +34,12 @@ class ErrorHistory:
     Source: Oudeyer and Kaplan (2004), section 2.1.
     """
 
+    tables: ClassVar = {"_n_rows": ("_sums", "_counts", "progress")}
+
     def __init__(self, n_rows: int, window: int, delay: int, device: torch.device) -> None:
         self.window, self.delay = window, delay
         self._size = delay + window + 1
+        self._n_rows = n_rows
         self._sums = torch.zeros(n_rows, self._size, dtype=torch.float64, device=device)
         self._counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
         self.progress = torch.zeros(n_rows, dtype=torch.float64, device=device)
@@ -100,6 +106,7 @@ class ErrorHistory:
             split: The regions that split.
             inherit: Whether the children take over what their parents had.
         """
+        self._n_rows = split.n_rows
         self._sums = reserve(self._sums, split.n_rows)
         self._counts = reserve(self._counts, split.n_rows)
         self.progress = reserve(self.progress, split.n_rows)

@@ -4,10 +4,8 @@ Every file is written under a temporary name, fsynced and renamed, so whatever h
 whole, also after a crash. Shapes: `A` agents, `T` decisions in one part, `S` regions.
 """
 
-import json
-import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +19,7 @@ from torch import Tensor
 
 from torch_iac.agent import RegionSummary, Step
 from torch_iac.dashboard import Dashboard
+from torch_iac.files import dump_json, replace
 from torch_iac.measures import summarise
 from torch_iac.regions import NONE, Genealogy
 from torch_iac.runs import CONFIG, MAIN, REGIONS, STEPS, SUMMARY, load_run, part_path, shadow_error
@@ -334,33 +333,14 @@ def _claim(folder: Path) -> None:
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    _replace(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    data = dump_json(content)
+    replace(path, lambda temporary: temporary.write_bytes(data))
 
 
 def _write_table(path: Path, table: pa.Table) -> None:
     # Dictionaries make floats slower to write and larger.
     few = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
-    _replace(
+    replace(
         path,
         lambda to: pq.write_table(table, to, use_dictionary=few, compression="zstd"),
     )
-
-
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that, at every moment, its name holds the old content or the new, whole."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    write(temporary)
-    _sync(temporary)
-    temporary.replace(path)
-    if os.name == "posix":  # elsewhere a folder cannot be opened
-        _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -7,11 +7,13 @@ the full regions that split at the same decision, one an agent at most.
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from torch_iac.space import UNIT_STEP
+from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 NONE = -1
@@ -88,7 +90,27 @@ class Genealogy:
     n_examples: Tensor
 
 
-class RegionTree:
+_NODE_COLUMNS = {
+    "agent": 0,
+    "rows": 0,
+    "region": 0,
+    "parent": NONE,
+    "depth": 0,
+    "born_step": 0,
+    "split_step": NONE,
+    "split_count": 0,
+    "cut_dimension": NONE,
+    "cut_value": math.nan,
+    "_bundle": NONE,
+    "_bundle_level": 0,
+    "_n_cuts": CUTS,
+    "_dimensions": 0,
+    "_values": math.inf,
+    "_first_exit": 0,
+}
+
+
+class RegionTree(Stateful):
     """The region trees of a population; each agent starts with one region, the whole cube.
 
     Routing compares a situation with seven cuts at once. Neighbouring cuts of a tree are tied into
@@ -102,6 +124,9 @@ class RegionTree:
         n_nodes: How many nodes there are, over all agents.
         n_rows: How many leaves there are, over all agents.
     """
+
+    saved = ("n_rows", "_n_regions", "_n_bundle_levels")
+    tables: ClassVar = {"n_nodes": tuple(_NODE_COLUMNS), "_n_exits": ("_exits",)}
 
     def __init__(self, n_agents: int, device: torch.device) -> None:
         self.n_nodes = self.n_rows = n_agents
@@ -275,26 +300,6 @@ class RegionTree:
     def _reserve(self) -> None:
         for name, fill in _NODE_COLUMNS.items():
             setattr(self, name, reserve(getattr(self, name), self.n_nodes, fill))
-
-
-_NODE_COLUMNS = {
-    "agent": 0,
-    "rows": 0,
-    "region": 0,
-    "parent": NONE,
-    "depth": 0,
-    "born_step": 0,
-    "split_step": NONE,
-    "split_count": 0,
-    "cut_dimension": NONE,
-    "cut_value": math.nan,
-    "_bundle": NONE,
-    "_bundle_level": 0,
-    "_n_cuts": CUTS,
-    "_dimensions": 0,
-    "_values": math.inf,
-    "_first_exit": 0,
-}
 
 
 def _as_number(bits: Tensor) -> Tensor:
