@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -7,7 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torch_iac.meta import SMALL_ERROR, ErrorExpectation, ImprovementPredictor, MetaPredictor
+from torch_iac.meta import (
+    SMALL_ERROR,
+    ErrorExpectation,
+    ImprovementPredictor,
+    MetaPredictor,
+    filled_bins,
+)
 from torch_iac.meta import gamma_loss as loss
 
 CPU = torch.device("cpu")
@@ -35,23 +42,58 @@ def expected(meta: ErrorExpectation, low: float = 0.0, high: float = 1.0) -> flo
 
 def test_small_errors_are_learnt_as_precisely_as_large_ones() -> None:
     meta = MetaPredictor().start(2, SEEDS, CPU)
-    live(meta, lambda situations: torch.where(situations[:, 0] < 0.5, 0.002, 0.2), 0, 1000)
+    live(meta, lambda situations: torch.where(situations[:, 0] < 0.5, 0.002, 0.2), 0, 2000)
     assert expected(meta, 0.0, 0.4) == pytest.approx(0.002, rel=0.25)
     assert expected(meta, 0.6, 1.0) == pytest.approx(0.2, rel=0.25)
 
 
+def test_a_sharp_edge_is_learnt_with_bins() -> None:
+    def leak(bins: int) -> float:
+        meta = MetaPredictor(bins=bins).start(2, SEEDS, CPU)
+        live(meta, lambda situations: torch.where(situations[:, 0] > 0.45, 0.005, 0.1), 0, 2000)
+        return expected(meta, 0.5, 0.6) / 0.005
+
+    assert leak(bins=16) == pytest.approx(1, rel=0.4)
+    assert leak(bins=1) > 2
+
+
+def test_bins_fill_from_the_lowest_on() -> None:
+    filled = filled_bins(torch.tensor([[0.0, 0.25], [0.375, 1.0]]), torch.arange(4))
+    assert filled.tolist() == [
+        [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+        [1.0, 0.5, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0],
+    ]
+
+
+def test_one_bin_is_the_situation_itself() -> None:
+    situations = uniform(0, 5, 3)
+    assert torch.equal(filled_bins(situations, torch.arange(1)), situations)
+
+
+def test_a_robot_alone_expects_the_same_to_the_bit() -> None:
+    alone, together = (MetaPredictor().start(14, seeds, CPU) for seeds in ([3], SEEDS))
+    for step in range(50):
+        situations, errors = uniform(2 * step, 14), uniform(2 * step + 1)
+        alone.learn(situations[3:4], errors[3:4], step)
+        together.learn(situations, errors, step)
+    for n_candidates in (1, 50):
+        candidates = uniform(1, n_candidates, 14)
+        assert torch.equal(alone.expect(candidates[3:4]), together.expect(candidates)[3:4])
+
+
 @pytest.mark.parametrize("before", [0.0, 0.01, 0.3])
 def test_errors_age(before: float) -> None:
-    meta = MetaPredictor(memory=150).start(2, SEEDS, CPU)
-    live(meta, lambda _: before, 0, 300)
+    meta = MetaPredictor(memory=150, learning_rate=0.003).start(2, SEEDS, CPU)
+    live(meta, lambda _: before, 0, 800)
     assert expected(meta) == pytest.approx(before, rel=0.25, abs=1e-3)
-    live(meta, lambda _: 0.1, 300, 300)  # an error expected to be none can come back, too
+    live(meta, lambda _: 0.1, 800, 300)  # an error expected to be none can come back, too
     assert expected(meta) == pytest.approx(0.1, rel=0.25)
 
 
 def test_only_what_is_in_memory_is_learnt_from() -> None:
+    quick = MetaPredictor(hidden=(32, 32), bins=1, learning_rate=0.003, minibatch_size=8)
     remembering, forgetting = (
-        MetaPredictor(memory=memory, minibatch_size=8).start(2, SEEDS, CPU) for memory in (99, 1)
+        replace(quick, memory=memory).start(2, SEEDS, CPU) for memory in (99, 1)
     )
     for meta in (remembering, forgetting):
         live(meta, lambda _: 0.2, 0, 30)
@@ -81,7 +123,7 @@ def test_the_loss_without_error_is_finite_and_has_a_least() -> None:
 
 @given(st.lists(st.floats(0, 1, width=32), min_size=1, max_size=20), st.integers(0, 2**31))
 def test_what_is_expected_is_an_error(errors: list[float], seed: int) -> None:
-    meta = MetaPredictor(hidden=(4,), minibatches=2, learning_rate=1.0).start(2, [seed], CPU)
+    meta = MetaPredictor(hidden=(4,), minibatches=2, learning_rate=0.1).start(2, [seed], CPU)
     for step, error in enumerate(errors):
         meta.learn(uniform(step, 2)[:1], torch.tensor([error], dtype=torch.float64), step)
         answers = meta.expect(uniform(step, 50, 2)[:1] * 3 - 1)  # outside the unit cube, too
@@ -117,6 +159,7 @@ def test_improvement_is_learnt_below_nothing_too() -> None:
     ("values", "message"),
     [
         ({"memory": 0}, "memory must be at least 1, got 0"),
+        ({"bins": 0}, "bins must be at least 1, got 0"),
         ({"hidden": (8, 0)}, r"hidden must be at least 1 unit a layer, got \(8, 0\)"),
         ({"minibatches": 0}, "minibatches must be at least 1, got 0"),
     ],

@@ -1,4 +1,7 @@
-"""The meta-predictor MP: a network that learns what error to expect in a situation."""
+"""The meta-predictor MP: a network that learns what error to expect in a situation.
+
+Shapes: `B` bins into which a network's inputs divide each dimension of a situation.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,12 +27,16 @@ class RecentTraining(Training):
     """Units of each hidden layer."""
     memory: int = 1000
     """How many of the most recent decisions it learns from."""
+    bins: int = 1
+    """Into how many equal bins of [0, 1] its inputs divide each dimension of the situation: one
+    input a bin, how far the value fills it (`filled_bins`). With 1 they are the situation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         MLP(self.hidden)
-        if self.memory < 1:
-            raise ValueError(f"memory must be at least 1, got {self.memory}")
+        for name in ("memory", "bins"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +51,18 @@ class MetaPredictor(RecentTraining):
     which is least where the expectation is the mean error, and weighs errors relatively: a small
     error is learnt as precisely as a large one (the loss of a gamma-distributed error).
 
+    The errors of two activities can differ fifty times and meet at a sharp edge. A network of the
+    bare situation smooths such an edge over; with each dimension in `bins` an edge within one of
+    them is a matter of few weights, and few hidden units are enough, which err less.
+
     Source: Oudeyer and Kaplan (2004), section 2.1, which does not say what MP is.
     """
 
-    learning_rate: float = 0.003
+    hidden: tuple[int, ...] = (8,)
+    """Units of each hidden layer; few, since rare situations leave few errors to learn from."""
+    bins: int = 16
+    """Into how many equal bins its inputs divide each dimension, so that it can learn edges."""
+    learning_rate: float = 0.001
     """Step size of the optimiser."""
     minibatches: int = 1
     """How many steps of the optimiser a decision."""
@@ -123,7 +138,9 @@ class RecentNetworks(Stateful):
     ) -> None:
         self._training, self._loss = training, loss
         self._agents = torch.arange(len(seeds), device=device)
-        self._networks = StackedNetworks(MLP(training.hidden), situation_dim, 1, training, device)
+        self._bins = torch.arange(training.bins, device=device)
+        n_inputs = situation_dim * training.bins
+        self._networks = StackedNetworks(MLP(training.hidden), n_inputs, 1, training, device)
         self._networks.reserve(len(seeds))
         self._networks.start(self._agents, seeds)
         n_picks = training.minibatches * training.minibatch_size
@@ -133,7 +150,8 @@ class RecentNetworks(Stateful):
 
     def predict(self, situations: Tensor) -> Tensor:
         """Return what the networks make of situations `(A, C, D)`, shape `(A, C)`."""
-        return self._networks.predict(self._agents, situations)[..., 0]
+        inputs = filled_bins(situations, self._bins)
+        return self._networks.predict(self._agents, inputs)[..., 0]
 
     def learn(self, situations: Tensor, targets: Tensor, step: int) -> Tensor:
         """Remember a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`."""
@@ -142,9 +160,22 @@ class RecentNetworks(Stateful):
         self._targets[:, 0, place] = targets.float()
         n_pairs = min(step + 1, self._training.memory)
         picks = (self._picks.at(step) * n_pairs).long()
-        inputs, outputs = pick(self._situations, picks), pick(self._targets, picks)
+        inputs = filled_bins(pick(self._situations, picks), self._bins)
+        outputs = pick(self._targets, picks)
         size = self._training.minibatch_size
         return self._networks.train(self._agents, inputs, outputs, size, self._loss)
+
+
+def filled_bins(situations: Tensor, bins: Tensor) -> Tensor:
+    """Return how far situations `(..., D)` fill bins `(B,)`: `(..., D * B)`, from 0 to 1.
+
+    The bins are 0, 1, ..., B - 1, from 0 to 1 in each dimension; those below a value are full, its
+    own is filled as far as it lies in it, those above are empty.
+
+    Source: Gorishniy, Rubachev and Babenko (2022), On Embeddings for Numerical Features in Tabular
+    Deep Learning, the piecewise linear encoding.
+    """
+    return (situations[..., None] * len(bins)).sub(bins).clamp_(0.0, 1.0).flatten(-2)
 
 
 def gamma_loss(outputs: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
