@@ -230,6 +230,7 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
         "seeds": [100, 101],
         "zones": ["f1", "f2", "f3"],
         "shadows": [],
+        "recorded_agents": 2,
     }
 
 

@@ -247,9 +247,15 @@ class IAC:
         """Return every region ever made."""
         return self.tree.genealogy(self.examples.counts)
 
-    def region_summary(self) -> RegionSummary:
-        """Return what each present leaf knows and where it is."""
+    def region_summary(self, n_agents: int | None = None) -> RegionSummary:
+        """Return what each present leaf knows and where it is.
+
+        Args:
+            n_agents: Of the first so many agents; of all if not given.
+        """
         nodes = self.tree.leaves()
+        if n_agents is not None:
+            nodes = nodes[self.tree.agent[nodes] < n_agents]
         rows = self.tree.rows[nodes]
         lows, highs = self.tree.boxes(len(self.space.situation))
         columns = RegionSummary(
