@@ -62,6 +62,16 @@ def test_a_summary_lists_a_bounded_number_of_agents(
     assert summary["zone_shares"] == run.summary["zone_shares"]
 
 
+def test_a_summary_is_of_all_agents_recorded_or_not(run: Run, tmp_path: Path) -> None:
+    few = load_run(write_run(tmp_path, N_AGENTS, N_DECISIONS, n_recorded=1)).summary
+    assert (few["n_recorded_agents"], run.summary["n_recorded_agents"]) == (1, N_AGENTS)
+    for name in ("zone_shares", "settled_zone_shares", "late_zone_errors"):
+        assert few[name] == pytest.approx(run.summary[name]), name
+    for name in ("n_regions", "first_cuts", "focus"):
+        assert few[name] == run.summary[name], name
+    assert [agent["seed"] for agent in few["agents"]] == [100, 101, 102]
+
+
 def test_the_summary_compares_the_experts_with_their_shadows(tmp_path: Path) -> None:
     shadows = {"knn": 2.0, "mlp": 0.5}
     summary = load_run(write_run(tmp_path, 2, 1100, shadows=shadows, meta=True)).summary

@@ -131,7 +131,7 @@ class IAC:
         self.space = space
         self.config = config = config or IACConfig()
         self.seeds = tuple(int(seed) for seed in seeds)
-        self.device = _available(device)
+        self.device = available_device(device)
         self.n_decisions = 0
 
         n_agents, action_dim = len(seeds), len(space.actions)
@@ -368,7 +368,12 @@ class IAC:
             pool.split(self.examples, split)
 
 
-def _available(device: torch.device | str) -> torch.device:
+def available_device(device: torch.device | str) -> torch.device:
+    """Return a device that this machine has.
+
+    Raises:
+        ValueError: It has no such device.
+    """
     try:
         probe = torch.zeros(1, device=device)
         probe.item()  # a device without memory, such as "meta", has no answer

@@ -19,7 +19,7 @@ import tyro
 from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.agent import IAC
+from torch_iac.agent import IAC, available_device
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives import (
@@ -36,6 +36,7 @@ from torch_iac.drives import (
 )
 from torch_iac.experts import Experts, KNNExperts, MLPExperts
 from torch_iac.figures import save_figures
+from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.runs import WINDOW, Run, load_run
@@ -47,7 +48,9 @@ WORLDS = {
     "kinematic": "torch_iac_envs/ToyRoomKinematic-v0",
 }
 OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
-WORLD_BYTES = {"toyroom": 0, "kinematic": 0}
+WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
+"""What a world takes in memory: pybullet's a whole physics engine."""
+
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
 DRIVES: dict[str, type[Drive]] = {
     "progress": Progress,
@@ -173,10 +176,12 @@ class Train:
         out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
         options = _options(self.world_options)
         device = _device(self.device)
+        space = self._space(options, device)
+        n_recorded = self._n_recorded()
+        need = (space, self._iac(), self.agents, self.steps, n_recorded)
+        check_memory(*need, device, WORLD_BYTES[self.world])
         env = _make_world(self.world, self.agents, options, device)
         try:
-            outcomes = self.outcomes or OUTCOMES[self.world]
-            space = SensorimotorSpace.from_env(env, "all" if outcomes == ("all",) else outcomes)
             seeds = range(self.seed, self.seed + self.agents)
             agent = IAC(space, self._iac(), seeds, device)
             recorder = Recorder(
@@ -185,7 +190,7 @@ class Train:
                 env.metadata.get("zone_names"),
                 self._description(words, options),
                 log_every=self.log_every,
-                n_recorded=self._n_recorded(),
+                n_recorded=n_recorded,
             )
             with recorder:
                 _live(agent, env, self.steps, recorder)
@@ -193,6 +198,15 @@ class Train:
             env.close()
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
+
+    def _space(self, options: Mapping[str, Any], device: torch.device) -> SensorimotorSpace:
+        """Return what the robots do, sense and predict, from a single world."""
+        world = _make_world(self.world, 1, options, device)
+        try:
+            outcomes = self.outcomes or OUTCOMES[self.world]
+            return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
+        finally:
+            world.close()
 
     def _n_recorded(self) -> int:
         """Return of how many agents every decision is recorded; say so if not of all."""
@@ -313,7 +327,7 @@ def _defaults(arguments: Sequence[str]) -> Train:
 
 
 def _make_world(
-    name: str, n_worlds: int, options: Mapping[str, Any], device: str
+    name: str, n_worlds: int, options: Mapping[str, Any], device: torch.device
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Return as many worlds as asked for, on the device if they are tensors.
 
@@ -372,10 +386,10 @@ def _live(
         raise KeyboardInterrupt(f"interrupted; what was recorded is in {place}") from None
 
 
-def _device(name: str) -> str:
+def _device(name: str) -> torch.device:
     if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    return name
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    return available_device(name)
 
 
 def _report(run: Run) -> str:
