@@ -279,8 +279,7 @@ def test_of_many_robots_a_few_are_recorded_and_it_is_said(
 
 @pytest.mark.parametrize("world", ["toyroom", "kinematic"])
 def test_a_run_that_will_not_fit_into_memory_is_refused(tmp_path: Path, world: str) -> None:
-    words = ["train", "--world", world, "--agents", "10000000", "--out", tmp_path / "a"]
-    answer = typed(*words)
+    answer = typed("train", "--world", world, "--agents", "10000000", "--out", tmp_path / "a")
     assert (answer.code, answer.out) == (2, "")
     assert re.fullmatch(
         r"torch-iac: a run must fit into memory: 10,000,000 agents and 10,000 decisions need about "

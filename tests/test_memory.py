@@ -1,5 +1,6 @@
 """The estimate of the memory that a run needs, held to what agents really keep."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,13 @@ import torch
 from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace, memory
 from torch_iac.memory import check_memory, free_memory, memory_needed
 
-N_AGENTS, N_DECISIONS = 64, 500
+N_AGENTS, N_DECISIONS = 64, 300
+KNN = IACConfig(max_examples=40, n_candidates=5)
 CONFIGS = {
-    "knn": IACConfig(max_examples=40),
-    "mlp": IACConfig(max_examples=40, experts=MLPExperts(hidden=(8,), minibatches=1)),
-    "mp": IACConfig(max_examples=40, meta=MetaPredictor(memory=100, minibatch_size=8)),
-    "shadow": IACConfig(max_examples=40, shadows={"mlp": MLPExperts(minibatches=1)}),
+    "knn": KNN,
+    "mlp": replace(KNN, experts=MLPExperts(hidden=(8,), minibatches=1)),
+    "mp": replace(KNN, meta=MetaPredictor(memory=100, minibatch_size=8)),
+    "shadow": replace(KNN, shadows={"mlp": MLPExperts(hidden=(16,), minibatches=1)}),
 }
 
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
+from torch_iac.agent import Step
 from torch_iac.recording import Recorder, region_table, write_config
 from torch_iac.runs import load_run
 
@@ -174,11 +175,11 @@ def test_steps_may_be_on_a_gpu(tmp_path: Path) -> None:
     ):
         for step, zones in decisions:
             here.record(step, zones)
-            moved = {
+            moved: dict[str, Any] = {
                 name: value.cuda() if isinstance(value, torch.Tensor) else value
                 for name, value in vars(step).items()
             }
-            there.record(replace(step, **moved), torch.tensor(zones).cuda())
+            there.record(Step(**moved), torch.tensor(zones).cuda())
     assert load_run(tmp_path / "cpu").steps == load_run(tmp_path / "gpu").steps
 
 

@@ -173,7 +173,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
             _line(_zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
         ]
         if run.n_agents > 1:
-            label = f"95 % bootstrap CI of the mean, {run.n_agents:,} agents"
+            label = f"95 % bootstrap CI\nof the mean, {run.n_agents:,} agents"
             key.append(Patch(label=label, **_band(MIXED_COLOUR)))
         _legend(figure, key)
     return figure

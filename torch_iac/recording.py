@@ -10,7 +10,7 @@ whole, also after a crash. Shapes: `A` agents, `T` decisions in one part, `S` re
 import json
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -344,6 +344,8 @@ class _Rows:
             for field, names in self._names.items()
         }
         self._device = torch.device("cpu")
+        # On the host numpy copies what is small in a third of the time.
+        self._on_host = [block.numpy() for block in self._blocks.values()]
 
     @property
     def is_full(self) -> bool:
@@ -359,14 +361,13 @@ class _Rows:
         tensors += self._fields_of(step)
         for shadow in step.shadows:
             tensors += (shadow.predictions, shadow.errors)
-        n_recorded, on_host = len(self._seeds), self._device.type == "cpu"
-        for tensor, block in zip(tensors, self._blocks.values(), strict=True):
+        n_recorded, is_on_host = len(self._seeds), self._device.type == "cpu"
+        blocks: Iterable[Any] = self._on_host if is_on_host else self._blocks.values()
+        for tensor, block in zip(tensors, blocks, strict=True):
             if tensor is None:
                 block[self.count] = torch.nan
-            elif on_host:  # numpy copies what is small in a third of the time
-                block.numpy()[self.count] = tensor.numpy()[:n_recorded]
             else:
-                block[self.count] = tensor[:n_recorded]
+                block[self.count] = (tensor.numpy() if is_on_host else tensor)[:n_recorded]
         self.count += 1
 
     def since(self, start: int) -> dict[str, NDArray[Any]]:
