@@ -74,18 +74,19 @@ def test_what_will_not_fit_is_refused_with_both_numbers(
     )
     with pytest.raises(ValueError, match=message):
         check_memory(space, CONFIGS["knn"], 4000, 1000, 64, device)
-    with pytest.raises(ValueError, match="must fit into memory"):  # for the worlds
-        check_memory(space, CONFIGS["knn"], 4, 1000, 4, device, world_bytes=10**7)
 
 
-def test_records_need_the_main_memory(
+def test_worlds_and_records_need_the_main_memory(
     space: SensorimotorSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memory, "free_memory", lambda on: 10**12 if on.type == "cuda" else 10**7)
-    few, all_agents = 10, 4000
-    check_memory(space, CONFIGS["knn"], 4000, 1000, few, torch.device("cuda"))
+    few, run = 10, (space, CONFIGS["knn"], 4000, 1000)
+    gpu = torch.device("cuda")
+    check_memory(*run, few, gpu)
     with pytest.raises(ValueError, match="GB on cpu, got"):
-        check_memory(space, CONFIGS["knn"], 4000, 1000, all_agents, torch.device("cuda"))
+        check_memory(*run, 4000, gpu)
+    with pytest.raises(ValueError, match="GB on cpu, got"):
+        check_memory(*run, few, gpu, world_bytes=10**4)
 
 
 def test_where_free_memory_is_not_known_nothing_is_refused(

@@ -158,6 +158,19 @@ def test_windows_are_tallies_of_the_steps(tmp_path: Path) -> None:
     assert counted["expected_error_sum/f1"].null_count == counted.num_rows
 
 
+def test_windows_begin_with_the_first_decision_that_is_recorded(tmp_path: Path) -> None:
+    population = SyntheticPopulation(2, 400)
+    for _ in range(90):
+        population.decide()
+    with Recorder(tmp_path, population, ZONES) as recorder:
+        for _ in range(300):
+            recorder.record(*population.decide())
+    run = load_run(tmp_path)
+    assert run.windows.counts.sum(axis=2).tolist() == [[250, 250], [50, 50]]
+    windows = pq.read_table(sorted((tmp_path / "windows").iterdir()))
+    assert windows["step"].to_pylist() == [90, 90, 340, 340]
+
+
 @pytest.mark.parametrize("n_recorded", [0, 4])
 def test_there_must_be_so_many_agents_to_record(tmp_path: Path, n_recorded: int) -> None:
     with pytest.raises(ValueError, match=rf"n_recorded must lie in \[1, 3\], got {n_recorded}"):

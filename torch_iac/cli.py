@@ -49,7 +49,7 @@ WORLDS = {
 }
 OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
 WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
-"""What a world takes in memory: pybullet's a whole physics engine."""
+"""What a world takes in the main memory; with pybullet it is a whole physics engine."""
 
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
 DRIVES: dict[str, type[Drive]] = {

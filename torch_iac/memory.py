@@ -26,8 +26,8 @@ CUT_BYTES = 64
 """What finding the best cut takes for a moment, for each coordinate of each example: its rank and
 its value, and sums and gains in float64."""
 
-NODE_BYTES = 1000
-"""What a leaf, its ancestors and their share in the table of exits take in the region tree."""
+NODE_BYTES = 1500
+"""What a leaf, its ancestors and their exits take in the region tree, whose tables double too."""
 
 CANDIDATE_BYTES = 200
 """What routing takes for a moment for each candidate: eight comparisons and their numbers."""
@@ -91,15 +91,15 @@ def check_memory(
         n_decisions: How many decisions each takes.
         n_recorded: Of how many every decision is recorded.
         device: Where the robots are.
-        world_bytes: What each robot's world takes there.
+        world_bytes: What each robot's world takes in the main memory.
 
     Raises:
         ValueError: It will not fit; the message says what is needed and what is free.
     """
     need = memory_needed(space, config, n_agents, n_decisions, n_recorded)
-    needed = {"cpu": need.on_host}
+    needed = {"cpu": need.on_host + n_agents * world_bytes}
     place = "cpu" if device.type == "cpu" else str(device)
-    needed[place] = needed.get(place, 0) + need.on_device + n_agents * world_bytes
+    needed[place] = needed.get(place, 0) + need.on_device
     for place, n_bytes in needed.items():
         free = free_memory(torch.device(place))
         if free is not None and n_bytes > free:

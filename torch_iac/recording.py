@@ -166,7 +166,8 @@ class Recorder:
         )
         self._tallied = tallied_fields(shadows)
         self._tally = RunningTally(n_agents, len(self._zone_names), self._tallied)
-        self._windows: dict[int, Tally] = {}  # not yet on disk, by number
+        self._windows: dict[int, Tally] = {}  # not yet on disk, by their first decision
+        self._first_decision = -1  # from which windows are counted
         self._n_parts = self._n_told = 0
         self._dashboard = Dashboard(self.folder, min(N_SHOWN, n_agents), self._zone_names, shadows)
         self._started = time.perf_counter()
@@ -186,9 +187,11 @@ class Recorder:
         on_device = None if zones is None else torch.as_tensor(zones, device=step.errors.device)
         self._rows.add(step, on_device)
         self._tally.add(on_device, _tallied_values(step))
+        if self._first_decision < 0:
+            self._first_decision = step.number
         n_decisions = step.number + 1
         is_log_due = n_decisions % self._log_every == 0
-        if is_log_due or n_decisions % WINDOW == 0:
+        if is_log_due or (n_decisions - self._first_decision) % WINDOW == 0:
             self._settle()
         if is_log_due:
             summary = self._agent.region_summary(N_SHOWN)
@@ -223,9 +226,10 @@ class Recorder:
         """Add what was tallied since the last time, all in one window, to that window."""
         if self._n_told == self._rows.count:
             return
-        taken, number = self._tally.take(), self._rows.last_decision // WINDOW
-        known = self._windows.get(number)
-        self._windows[number] = taken if known is None else known + taken
+        last = self._rows.last_decision
+        start = last - (last - self._first_decision) % WINDOW
+        taken, known = self._tally.take(), self._windows.get(start)
+        self._windows[start] = taken if known is None else known + taken
         self._dashboard.tally(taken, self._rows.since(self._n_told))
         self._n_told = self._rows.count
 
@@ -238,7 +242,7 @@ class Recorder:
             *(np.concatenate([tally.sums[name] for tally in tallies]) for name in self._tallied),
         ]
         columns = {
-            "step": np.repeat(np.array(list(self._windows)) * WINDOW, n_agents),
+            "step": np.repeat(np.array(list(self._windows), np.int64), n_agents),
             "agent": np.tile(np.arange(n_agents, dtype=np.int32), n_windows),
             "seed": np.tile(self._seeds, n_windows),
         }

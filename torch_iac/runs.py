@@ -178,7 +178,8 @@ class Run:
         The last window has fewer decisions if the run does not end with it.
         """
         parts = [_read_part(path) for path in self.parts(WINDOWS)]
-        numbers = np.concatenate([_first_decisions(part) // WINDOW for part in parts])
+        firsts = np.concatenate([_first_decisions(part) for part in parts])
+        numbers = (firsts - firsts[0]) // WINDOW
 
         def by_window(names: Sequence[str]) -> NDArray[Any]:
             rows = [np.stack([part[name].to_numpy() for name in names], axis=-1) for part in parts]
