@@ -14,6 +14,7 @@ N_AGENTS, N_DECISIONS = 64, 300
 KNN = IACConfig(max_examples=40, n_candidates=5)
 CONFIGS = {
     "knn": KNN,
+    "lopsided": replace(KNN, balance=0.0),
     "mlp": replace(KNN, experts=MLPExperts(hidden=(8,), minibatches=1)),
     "mp": replace(KNN, meta=MetaPredictor(memory=100, minibatch_size=8)),
     "shadow": replace(KNN, shadows={"mlp": MLPExperts(hidden=(16,), minibatches=1)}),

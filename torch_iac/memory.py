@@ -1,7 +1,7 @@
 """How much memory a run will need, estimated before it begins, and how much there is.
 
-Memory grows with the leaves of the region trees, and those with decisions: a leaf is half full on
-average. Tables double when they are full.
+Memory grows with the leaves of the region trees, and those with decisions. Tables double when they
+are full.
 """
 
 from collections.abc import Iterator
@@ -158,7 +158,9 @@ def _n_leaves(config: IACConfig, n_decisions: int) -> int:
     """Return how many leaves an agent's tree is expected to have."""
     if n_decisions <= config.max_examples:
         return 1
-    return ceil(2 * n_decisions / config.max_examples)
+    # How full a leaf is on average; lopsided cuts leave small ones.
+    fill = min(0.7, round(0.3 + 4 / 3 * config.balance, 3))
+    return ceil(n_decisions / (fill * config.max_examples))
 
 
 def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
