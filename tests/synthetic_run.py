@@ -52,11 +52,18 @@ def write_run(
     config: Mapping[str, Any] | None = None,
     shadows: Mapping[str, float] | None = None,
     meta: bool = False,
+    n_recorded: int | None = None,
 ) -> Path:
     """Record a made-up run and return its folder; its shadows as `SyntheticPopulation` has them."""
     population = SyntheticPopulation(n_agents, n_decisions, shadows, meta)
     with Recorder(
-        folder, population, zone_names, config, log_every=log_every, rows_per_part=rows_per_part
+        folder,
+        population,
+        zone_names,
+        config,
+        log_every=log_every,
+        rows_per_part=rows_per_part,
+        n_recorded=n_recorded,
     ) as recorder:
         for _ in range(n_decisions):
             step, zones = population.decide()
@@ -234,10 +241,10 @@ class SyntheticPopulation:
         columns = [torch.tensor(column) for column in zip(*rows, strict=True)]
         return Genealogy(*columns)
 
-    def region_summary(self) -> RegionSummary:
+    def region_summary(self, n_agents: int | None = None) -> RegionSummary:
         leaves = [
             (agent, number, *attrgetter(*SUMMARY)(r))
-            for agent, robot in enumerate(self.robots)
+            for agent, robot in enumerate(self.robots[:n_agents])
             for number, r in enumerate(robot.regions)
             if not r.children
         ]

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import logging
 import os
 import re
 import signal
@@ -231,6 +232,63 @@ def test_auto_is_a_device_that_is_there(tmp_path: Path) -> None:
     assert train(tmp_path / "a", "--device", "auto").config["device"] == "auto"
 
 
+def test_the_kinematic_world_writes_the_same_run_folder(run: Run, tmp_path: Path) -> None:
+    words = "--world kinematic --agents 3 --device auto --world-options sensor_noise=0"
+    twin = train(tmp_path / "a", *words.split(), steps=300)
+    assert twin.steps.column_names == run.steps.column_names
+    assert twin.config["world"] == {
+        "name": "kinematic",
+        "id": "torch_iac_envs/ToyRoomKinematic-v0",
+        "options": {"sensor_noise": 0},
+    }
+    assert (twin.n_agents, twin.n_recorded, twin.n_decisions) == (3, 3, 300)
+    files = [
+        {path.relative_to(folder) for path in folder.rglob("*") if "tfevents" not in path.name}
+        for folder in (run.folder, twin.folder)
+    ]
+    assert files[0] == files[1]
+    alone = train(tmp_path / "alone", *words.replace("3", "1").split(), "--seed", "2", steps=300)
+    assert twin.table(agent=2).drop("agent") == alone.steps.drop("agent")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_the_kinematic_world_is_where_the_robots_think(tmp_path: Path) -> None:
+    words = "--world kinematic --agents 3 --device cuda"
+    assert train(tmp_path / "a", *words.split(), steps=300).n_decisions == 300
+
+
+def test_of_many_robots_a_few_are_recorded_and_it_is_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    words = "--world kinematic --agents 5 --recorded-rows 100 --recorded-agents 2 --steps 260"
+    with caplog.at_level(logging.INFO):
+        answer = typed("train", "--out", tmp_path / "a", *words.split())
+    assert answer.code == 0
+    run = load_run(tmp_path / "a")
+    assert (run.n_agents, run.n_recorded, run.n_decisions) == (5, 2, 260)
+    assert caplog.messages == [
+        "Decisions are recorded of the first 2 robots only, tallies of all: 1,300 rows would be "
+        "more than --recorded-rows 100"
+    ]
+    said = "Every decision is recorded of the first 2 robots, windows of 250 decisions of all 5."
+    assert said in answer.out.splitlines()
+    assert (run.folder / "figures" / "zones.png").stat().st_size
+    typed("train", "--out", tmp_path / "b", *words.split(), "--recorded-rows", "1300")
+    assert load_run(tmp_path / "b").n_recorded == 5
+
+
+@pytest.mark.parametrize("world", ["toyroom", "kinematic"])
+def test_a_run_that_will_not_fit_into_memory_is_refused(tmp_path: Path, world: str) -> None:
+    answer = typed("train", "--world", world, "--agents", "10000000", "--out", tmp_path / "a")
+    assert (answer.code, answer.out) == (2, "")
+    assert re.fullmatch(
+        r"torch-iac: a run must fit into memory: 10,000,000 agents and 10,000 decisions need about "
+        r"[\d.]+ GB on cpu, got [\d.]+ GB free; lower agents, steps or max_examples\n",
+        answer.err,
+    )
+    assert not (tmp_path / "a").exists()
+
+
 def test_figures_are_drawn_anew(tmp_path: Path) -> None:
     folder = train(tmp_path / "a").folder
     for path in (folder / "figures").iterdir():
@@ -296,6 +354,16 @@ BAD_VALUES = [
     ("--world-options toy_direction=1", "toy_direction must be true or false, got 1"),
     ("--world-options beams=-1", "beams must be at least 0 and finite, got -1"),
     ("--world-options sensor_noise=NaN", "sensor_noise must be at least 0 and finite, got nan"),
+    (
+        "--world kinematic --world-options device=cpu",
+        "options of kinematic must be among beams, toy_direction, sensor_noise, actuator_noise, "
+        "check_actions, got device",
+    ),
+    ("--world kinematic --world-options beams=2.5", "beams must be a whole number, got 2.5"),
+    (
+        "--world kinematic --device abacus",
+        "device must be one that this machine has, got abacus",
+    ),
     ("--device abacus", "device must be one that this machine has, got abacus"),
     ("--device meta", "device must be one that this machine has, got meta"),
     pytest.param(
@@ -306,7 +374,7 @@ BAD_VALUES = [
 ]
 
 BAD_OPTIONS = [
-    ("--world mars", "invalid choice 'mars' for argument '--world'. Expected one of ('toyroom',)"),
+    ("--world mars", "invalid choice 'mars' for argument '--world'. Expected one of"),
     ("--preset iac1999", "invalid choice 'iac1999' for argument '--preset'. Expected one of"),
     ("--experts oracle", "invalid choice 'oracle' for argument '--experts'. Expected one of"),
     ("--drive hunger", "invalid choice 'hunger' for argument '--drive'. Expected one of"),
@@ -316,6 +384,8 @@ BAD_OPTIONS = [
     ("--steps ten", "Error parsing --steps: invalid literal for int() with base 10: 'ten'"),
     ("--agents 0", "agents must be at least 1, got 0"),
     ("--log-every 0", "log_every must be at least 1, got 0"),
+    ("--recorded-agents 0", "recorded_agents must be at least 1, got 0"),
+    ("--recorded-rows -1", "recorded_rows must be at least 0, got -1"),
     ("--meta.memory 0", "memory must be at least 1, got 0"),
     ("--seed -1", "seed must lie in [0, 4294967296), got -1"),
 ]

@@ -93,7 +93,7 @@ def test_long_curves_are_thinned_out(run: Run, monkeypatch: pytest.MonkeyPatch) 
 def test_shares_are_drawn_as_means_over_agents(run: Run) -> None:
     figure = draw_zones(run, window=100)
     lines = figure.axes[0].lines
-    assert labels(figure) == ["f1", "f2", "f3", "95 % CI of the mean, 4 agents"]
+    assert labels(figure) == ["f1", "f2", "f3", "95 % bootstrap CI\nof the mean, 4 agents"]
     for zone, line in enumerate(lines):
         assert_allclose(np.asarray(line.get_xdata()), np.arange(13) * 100 + 50)
         assert_allclose(

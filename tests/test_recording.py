@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 import torch
 
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
+from torch_iac.agent import Step
 from torch_iac.recording import Recorder, region_table, write_config
+from torch_iac.runs import load_run
 
 COLUMNS = [
     "step",
@@ -110,6 +113,87 @@ def test_each_shadow_has_its_columns(tmp_path: Path) -> None:
         assert table[f"shadow/{name}/prediction/toy_distance"].to_pylist() == predictions.tolist()
     assert table.schema.field("shadow/knn/error").type == pa.float64()
     assert table.schema.field("shadow/knn/prediction/toy_distance").type == pa.float32()
+
+
+def test_of_a_large_population_the_first_agents_are_recorded_and_windows_of_all(
+    tmp_path: Path,
+) -> None:
+    whole = load_run(write_run(tmp_path / "whole", 4, 600, shadows={"knn": 2.0}, meta=True))
+    few = load_run(
+        write_run(tmp_path / "few", 4, 600, shadows={"knn": 2.0}, meta=True, n_recorded=2)
+    )
+    assert (few.n_recorded, few.n_agents, few.n_decisions) == (2, 4, 600)
+    assert few.config["recorded_agents"] == 2
+    assert few.steps == whole.steps.filter(pc.field("agent") < 2)
+    assert few.regions == whole.regions
+    windows = [pq.read_table(sorted((run.folder / "windows").iterdir())) for run in (whole, few)]
+    for table in windows:
+        assert table.column_names[:6] == [
+            *("step", "agent", "seed"),
+            *(f"decisions/{zone}" for zone in ZONES),
+        ]
+        assert {"error_sum/f1", "expected_error_sum/f3", "shadow/knn/error_sum/f2"} <= set(
+            table.column_names
+        )
+    for name, sums in whole.windows.sums.items():
+        np.testing.assert_allclose(few.windows.sums[name], sums, rtol=1e-12, err_msg=name)
+
+
+def test_windows_are_tallies_of_the_steps(tmp_path: Path) -> None:
+    """Whatever parts and logs they were written in."""
+    folder = write_run(tmp_path, 3, 700, rows_per_part=3 * 70, log_every=90, shadows={"knn": 2.0})
+    run = load_run(folder)
+    zones = run.column("zone")
+    assert run.windows.counts.sum(axis=2).tolist() == [[250] * 3, [250] * 3, [200] * 3]
+    for column in ("error", "progress", "shadow/knn/error"):
+        values = run.column(column)
+        for window, first in enumerate((0, 250, 500)):
+            here = slice(first, first + 250)
+            for zone in range(3):
+                expected = np.sum(values[here], axis=0, where=zones[here] == zone)
+                np.testing.assert_allclose(run.windows.sums[column][window, :, zone], expected)
+    assert np.isnan(run.windows.sums["expected_error"]).all()
+    table = pq.read_table(sorted((folder / "windows").iterdir()))
+    counted = table.filter(pc.field("decisions/f1") > 0)
+    assert counted["expected_error_sum/f1"].null_count == counted.num_rows
+
+
+def test_windows_begin_with_the_first_decision_that_is_recorded(tmp_path: Path) -> None:
+    population = SyntheticPopulation(2, 400)
+    for _ in range(90):
+        population.decide()
+    with Recorder(tmp_path, population, ZONES) as recorder:
+        for _ in range(300):
+            recorder.record(*population.decide())
+    run = load_run(tmp_path)
+    assert run.windows.counts.sum(axis=2).tolist() == [[250, 250], [50, 50]]
+    windows = pq.read_table(sorted((tmp_path / "windows").iterdir()))
+    assert windows["step"].to_pylist() == [90, 90, 340, 340]
+
+
+@pytest.mark.parametrize("n_recorded", [0, 4])
+def test_there_must_be_so_many_agents_to_record(tmp_path: Path, n_recorded: int) -> None:
+    with pytest.raises(ValueError, match=rf"n_recorded must lie in \[1, 3\], got {n_recorded}"):
+        Recorder(tmp_path / "a", SyntheticPopulation(3, 1), n_recorded=n_recorded)
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_steps_may_be_on_a_gpu(tmp_path: Path) -> None:
+    population = SyntheticPopulation(3, 20)
+    decisions = [population.decide() for _ in range(20)]
+    with (
+        Recorder(tmp_path / "cpu", population, ZONES, n_recorded=2) as here,
+        Recorder(tmp_path / "gpu", population, ZONES, n_recorded=2) as there,
+    ):
+        for step, zones in decisions:
+            here.record(step, zones)
+            moved: dict[str, Any] = {
+                name: value.cuda() if isinstance(value, torch.Tensor) else value
+                for name, value in vars(step).items()
+            }
+            there.record(Step(**moved), torch.tensor(zones).cuda())
+    assert load_run(tmp_path / "cpu").steps == load_run(tmp_path / "gpu").steps
 
 
 @pytest.mark.parametrize("name", ["main", "mean", "expected"])
@@ -230,6 +314,7 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
         "seeds": [100, 101],
         "zones": ["f1", "f2", "f3"],
         "shadows": [],
+        "recorded_agents": 2,
     }
 
 

@@ -119,6 +119,51 @@ def test_shares_of_zones_are_counted_window_by_window(run: Run) -> None:
     assert_allclose(shares.sum(axis=2), 1.0)
 
 
+def test_windows_that_were_kept_and_steps_say_the_same(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = zone_shares(run, 500), zone_errors(run, window=500), zone_errors(run)
+    monkeypatch.setattr(runs, "WINDOW", 7)  # so that none is a multiple
+    counted = zone_shares(run, 500), zone_errors(run, window=500), zone_errors(run, window=250)
+    for one, other in zip(kept, counted, strict=True):
+        assert_allclose(one, other)
+    assert [len(of) for of in kept] == [3, 3, 6]
+
+
+@pytest.fixture(scope="module")
+def large_run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of three agents, of which one is recorded."""
+    folder = tmp_path_factory.mktemp("large")
+    return load_run(write_run(folder, N_AGENTS, N_DECISIONS, n_recorded=1))
+
+
+def test_shares_and_errors_are_of_all_agents_recorded_or_not(run: Run, large_run: Run) -> None:
+    assert_allclose(zone_shares(large_run), zone_shares(run))
+    assert_allclose(zone_errors(large_run, window=750), zone_errors(run, window=750))
+    assert focus_steps(large_run, "f2", 0.5) == focus_steps(run, "f2", 0.5)
+
+
+def test_what_needs_the_steps_of_all_agents_says_so(large_run: Run) -> None:
+    with pytest.raises(ValueError, match="multiple of 250 where the steps of 1 of 3 agents are"):
+        zone_shares(large_run, window=100)
+    sentence = "agent must be one of the first 1 of 3, whose steps are recorded, got 2"
+    with pytest.raises(ValueError, match=sentence):
+        error_curves(large_run, agent=2)
+    assert large_run.column("error").shape == (N_DECISIONS, 1)
+    assert large_run.family(2).num_rows > 1
+
+
+def test_a_short_run_is_one_window_recorded_or_not(tmp_path: Path) -> None:
+    short = load_run(write_run(tmp_path, 2, 30, n_recorded=1))
+    assert zone_shares(short, window=30).shape == (1, 2, 3)
+    assert zone_shares(short).shape == (0, 2, 3)
+
+
+def test_a_world_without_zones_has_no_shares(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="has no zones"):
+        zone_shares(load_run(write_run(tmp_path, n_decisions=3, zone_names=None)))
+
+
 def test_a_run_knows_its_shadows_and_whether_there_is_mp(run: Run, tmp_path: Path) -> None:
     assert (run.shadow_names, run.error_columns) == ((), {"main": "error"})
     assert not run.has_expectations

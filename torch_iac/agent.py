@@ -144,7 +144,7 @@ class IAC(Stateful):
         self.space = space
         self.config = config = config or IACConfig()
         self.seeds = tuple(int(seed) for seed in seeds)
-        self.device = _available(device)
+        self.device = available_device(device)
         self.n_decisions = 0
         # On a GPU sensors are checked with all else at the end of a decision, not when they come.
         self._asks_late = self.device.type != "cpu"
@@ -288,9 +288,15 @@ class IAC(Stateful):
         """Return every region ever made."""
         return self.tree.genealogy(self.examples.counts)
 
-    def region_summary(self) -> RegionSummary:
-        """Return what each present leaf knows and where it is."""
+    def region_summary(self, n_agents: int | None = None) -> RegionSummary:
+        """Return what each present leaf knows and where it is.
+
+        Args:
+            n_agents: Of the first so many agents; of all if not given.
+        """
         nodes = self.tree.leaves()
+        if n_agents is not None:
+            nodes = nodes[self.tree.agent[nodes] < n_agents]
         rows = self.tree.rows[nodes]
         lows, highs = self.tree.boxes(len(self.space.situation))
         columns = RegionSummary(
@@ -426,7 +432,12 @@ class IAC(Stateful):
             pool.split(self.examples, split)
 
 
-def _available(device: torch.device | str) -> torch.device:
+def available_device(device: torch.device | str) -> torch.device:
+    """Return a device that this machine has.
+
+    Raises:
+        ValueError: It has no such device.
+    """
     try:
         probe = torch.zeros(1, device=device)
         probe.item()  # a device without memory, such as "meta", has no answer

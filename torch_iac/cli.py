@@ -19,7 +19,7 @@ import tyro
 from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.agent import IAC
+from torch_iac.agent import IAC, available_device
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives import (
@@ -36,14 +36,21 @@ from torch_iac.drives import (
 )
 from torch_iac.experts import Experts, KNNExperts, MLPExperts
 from torch_iac.figures import save_figures
+from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
-from torch_iac.runs import Run, load_run
+from torch_iac.runs import WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import train
 
-WORLDS = {"toyroom": "torch_iac_envs/ToyRoom-v0"}
-OUTCOMES = {"toyroom": ("toy_distance",)}
+WORLDS = {
+    "toyroom": "torch_iac_envs/ToyRoom-v0",
+    "kinematic": "torch_iac_envs/ToyRoomKinematic-v0",
+}
+OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
+WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
+"""What a world takes in the main memory; with pybullet it is a whole physics engine."""
+
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
 DRIVES: dict[str, type[Drive]] = {
     "progress": Progress,
@@ -87,6 +94,8 @@ THREADED_AGENTS = 32
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
 
 
+log = logging.getLogger(__name__)
+
 Plain = tyro.conf.arg(name="")
 """The options of a part are named without the part's own name before theirs."""
 
@@ -112,8 +121,9 @@ class Train:
     paper's figures.
     """
 
-    world: Literal["toyroom"] = "toyroom"
-    """Where the robots live."""
+    world: Literal["toyroom", "kinematic"] = "toyroom"
+    """Where the robots live: the toy room, simulated by pybullet, or its twin in plain arithmetic,
+    for thousands of robots at once."""
     preset: Literal["iac2004", "iac2007"] = "iac2004"
     """Which paper's numbers the options start from; they are the defaults shown here."""
     experts: ExpertsName = "knn"
@@ -135,19 +145,27 @@ class Train:
     out: Path | None = None
     """The run folder; by default a new one in runs/, named by the time."""
     device: str = "cpu"
-    """Where the robots think: cpu, cuda, cuda:1, ... or auto (cuda if there is one)."""
+    """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
+    there is one)."""
     outcomes: tuple[str, ...] = ()
     """The sensors to predict, or all; by default what the paper predicts in that world."""
     world_options: tuple[str, ...] = ()
     """Arguments of the world, such as beams=4 sensor_noise=0."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard."""
+    recorded_rows: int = 20_000_000
+    """Every decision of every robot is recorded if that makes at most so many rows, of about 65
+    bytes each on disk; otherwise those of the first robots only, and tallies of all."""
+    recorded_agents: int = 64
+    """How many those first robots are."""
     iac: Annotated[Settings, Plain] = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "agents", "log_every"):
+        for name in ("steps", "agents", "log_every", "recorded_agents"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.recorded_rows < 0:
+            raise ValueError(f"recorded_rows must be at least 0, got {self.recorded_rows}")
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
@@ -157,20 +175,52 @@ class Train:
             torch.set_num_threads(1)
         out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
         options = _options(self.world_options)
-        env = _make_world(self.world, self.agents, options)
+        device = _device(self.device)
+        space = self._space(options, device)
+        n_recorded = self._n_recorded()
+        need = (space, self._iac(), self.agents, self.steps, n_recorded)
+        check_memory(*need, device, WORLD_BYTES[self.world])
+        env = _make_world(self.world, self.agents, options, device)
         try:
-            outcomes = self.outcomes or OUTCOMES[self.world]
-            space = SensorimotorSpace.from_env(env, "all" if outcomes == ("all",) else outcomes)
             seeds = range(self.seed, self.seed + self.agents)
-            agent = IAC(space, self._iac(), seeds, _device(self.device))
-            zone_names = env.metadata.get("zone_names")
-            config = self._description(words, options)
-            with Recorder(out, agent, zone_names, config, log_every=self.log_every) as recorder:
+            agent = IAC(space, self._iac(), seeds, device)
+            recorder = Recorder(
+                out,
+                agent,
+                env.metadata.get("zone_names"),
+                self._description(words, options),
+                log_every=self.log_every,
+                n_recorded=n_recorded,
+            )
+            with recorder:
                 _live(agent, env, self.steps, recorder)
         finally:
             env.close()
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
+
+    def _space(self, options: Mapping[str, Any], device: torch.device) -> SensorimotorSpace:
+        """Return what the robots do, sense and predict, from a single world."""
+        world = _make_world(self.world, 1, options, device)
+        try:
+            outcomes = self.outcomes or OUTCOMES[self.world]
+            return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
+        finally:
+            world.close()
+
+    def _n_recorded(self) -> int:
+        """Return of how many agents every decision is recorded; say so if not of all."""
+        n_rows = self.agents * self.steps
+        if n_rows <= self.recorded_rows or self.agents <= self.recorded_agents:
+            return self.agents
+        log.info(
+            "Decisions are recorded of the first %d robots only, tallies of all: %s rows would be "
+            "more than --recorded-rows %s",
+            self.recorded_agents,
+            f"{n_rows:,}",
+            f"{self.recorded_rows:,}",
+        )
+        return self.recorded_agents
 
     def _iac(self) -> IACConfig:
         return replace(self.iac, shadows={name: EXPERTS[name]() for name in self.shadows})
@@ -277,24 +327,30 @@ def _defaults(arguments: Sequence[str]) -> Train:
 
 
 def _make_world(
-    name: str, n_worlds: int, options: Mapping[str, Any]
+    name: str, n_worlds: int, options: Mapping[str, Any], device: torch.device
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Return as many worlds as asked for.
+    """Return as many worlds as asked for, on the device if they are tensors.
 
     Raises:
         ValueError: The world has no such option, or refuses its value.
     """
-    parameters = signature(load_env_creator(str(gym.spec(WORLDS[name]).entry_point))).parameters
+    spec = gym.spec(WORLDS[name])
+    is_batched = spec.vector_entry_point is not None
+    entry = spec.vector_entry_point if is_batched else spec.entry_point
+    parameters = signature(load_env_creator(str(entry))).parameters
+    allowed = [parameter for parameter in parameters if parameter not in ("num_envs", "device")]
     for option, value in options.items():
-        if option not in parameters:
-            raise ValueError(
-                f"options of {name} must be among {', '.join(parameters)}, got {option}"
-            )
+        if option not in allowed:
+            raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
         kind = parameters[option].annotation
         if kind in KINDS and not _is_a(kind, value):
             raise ValueError(f"{option} must be {KINDS[kind]}, got {value}")
     try:
-        return gym.make_vec(WORLDS[name], n_worlds, "sync", **options)
+        if is_batched:
+            # Actions are in their bounds; the check would make a GPU wait at every decision.
+            given = {"device": device, "check_actions": False, **options}
+            return gym.make_vec(spec.id, n_worlds, "vector_entry_point", **given)
+        return gym.make_vec(spec.id, n_worlds, "sync", **options)
     except RuntimeError as error:  # such as a window where there is no display
         raise ValueError(str(error)) from error
 
@@ -330,16 +386,16 @@ def _live(
         raise KeyboardInterrupt(f"interrupted; what was recorded is in {place}") from None
 
 
-def _device(name: str) -> str:
+def _device(name: str) -> torch.device:
     if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    return name
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    return available_device(name)
 
 
 def _report(run: Run) -> str:
     """Return in words what the robots did, and where to look."""
     summary = run.summary
-    who = "The robot" if run.n_agents == 1 else f"Each of {run.n_agents} robots"
+    who = "The robot" if run.n_agents == 1 else f"Each of {run.n_agents:,} robots"
     lines = [
         f"{who} took {run.n_decisions:,} decisions in {summary['seconds']:.0f} s "
         f"({summary['decisions_per_second']:.0f} a second) "
@@ -360,6 +416,11 @@ def _report(run: Run) -> str:
     if "zone_shares" in summary:
         shares = ", ".join(f"{zone} {share:.0%}" for zone, share in summary["zone_shares"].items())
         lines.append(f"Time: {shares}.")
+    if run.n_recorded < run.n_agents:
+        lines.append(
+            f"Every decision is recorded of the first {run.n_recorded} robots, "
+            f"windows of {WINDOW} decisions of all {run.n_agents:,}."
+        )
     lines.append(f"Look at {run.folder / 'figures'}, or: tensorboard --logdir {run.folder.parent}")
     return "\n".join(lines)
 

@@ -20,16 +20,17 @@ from torch.utils.tensorboard.summary import custom_scalars
 from torch_iac.agent import RegionSummary
 from torch_iac.regions import NONE, Genealogy
 from torch_iac.runs import by_decile, shadow_error
+from torch_iac.tallies import Tally
 
 N_REGIONS_SHOWN = 200
 """TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
 
-WINDOW_TAGS = {
+TALLY_TAGS = {
     "progress": "progress/mean",
-    "errors": "error/mean",
-    "expected_errors": "error/expected",
+    "error": "error/mean",
+    "expected_error": "error/expected",
 }
-"""The fields of a step whose means are logged, and where."""
+"""The columns of the steps whose means are logged, and where."""
 
 N_TOP = 5
 """How many of the regions with most progress are followed by rank."""
@@ -59,8 +60,8 @@ LEAST_ERROR = 1e-6
 DESCRIPTIONS = {
     "progress/mean": "Mean learning progress of the regions that predicted the last decisions, "
     "over all agents.",
-    "progress/best": "Learning progress of the best region, mean over all agents.",
-    "progress/regions": "Learning progress of every present region of every agent.",
+    "progress/best": "Learning progress of the best region, mean over the first agents.",
+    "progress/regions": "Learning progress of every present region of the first agents.",
     "progress/map": "Learning progress of agent 0, from the start (left) to now (right). Each row "
     "is a present region, neighbours in the tree side by side; before its birth it shows its "
     "ancestors. Red: errors fall, blue: errors grow.",
@@ -69,7 +70,7 @@ DESCRIPTIONS = {
     "calibration/deciles": "Of the last decisions, those with the lowest tenth of the errors that "
     "the meta-predictor expected, the next tenth and so on: what it expected on average, and what "
     "the error was. A calibrated one keeps to the diagonal.",
-    "regions/number": "How many regions an agent's cube is in, mean over all agents.",
+    "regions/number": "How many regions an agent's cube is in, mean over the first agents.",
 }
 
 PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
@@ -77,11 +78,11 @@ PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
 
 
 class Dashboard:
-    """Writes what TensorBoard shows: aggregates over all agents and, region by region, agent 0.
+    """Writes what TensorBoard shows: aggregates over agents and, region by region, agent 0.
 
     Args:
         folder: Where to write.
-        n_agents: How many agents there are.
+        n_agents: The regions of how many agents it will be shown.
         zone_names: The names of the world's zones; none if it has no zones.
         shadows: The names of the experts that only look on.
     """
@@ -90,8 +91,8 @@ class Dashboard:
         self, folder: Path, n_agents: int, zone_names: Sequence[str], shadows: Sequence[str] = ()
     ) -> None:
         self._n_agents, self._zone_names = n_agents, zone_names
-        self._tags = WINDOW_TAGS | {shadow_error(name): f"error/{name}" for name in shadows}
-        self._window = _Window(self._tags, len(zone_names))
+        self._tags = TALLY_TAGS | {shadow_error(name): f"error/{name}" for name in shadows}
+        self._tally: Tally | None = None  # since the last log
         self._calibration = _Calibration()
         self._map = _ProgressMap()
         self._n_logs = 0
@@ -102,14 +103,14 @@ class Dashboard:
         layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
         self._writer.add_summary(layout)
 
-    def tally(self, columns: Mapping[str, NDArray[Any]]) -> None:
+    def tally(self, tally: Tally, columns: Mapping[str, NDArray[Any]]) -> None:
         """Count in some decisions.
 
         Args:
-            columns: The fields of their steps, each of shape `(T, A)`, and `zones` if the world
-                has any.
+            tally: What all agents did, shape `(A, Z)`.
+            columns: `errors` and `expected_errors` of some agents, each of shape `(T, A)`.
         """
-        self._window.add(columns)
+        self._tally = tally if self._tally is None else self._tally + tally
         self._calibration.add(columns)
 
     def log(
@@ -119,12 +120,12 @@ class Dashboard:
 
         Args:
             n_decisions: How many decisions each agent has taken; there is at least one to tell of.
-            regions: The present leaves.
+            regions: The present leaves of the agents whose regions are shown.
             genealogy: Gives every region ever made; asked only when a picture is due.
         """
         own = regions.agent.numpy() == 0
-        scalars = self._window.means(self._zone_names)
-        self._window = _Window(self._tags, len(self._zone_names))
+        scalars = {} if self._tally is None else _means(self._tally, self._tags, self._zone_names)
+        self._tally = None
         scalars |= _over_agents(regions, self._n_agents)
         scalars |= _top(regions.progress.numpy()[own]) | _by_region(regions, own)
         values = [self._value(tag, simple_value=value) for tag, value in scalars.items()]
@@ -156,44 +157,18 @@ class Dashboard:
         return Summary.Value(tag=tag, metadata=about, **content)
 
 
-class _Window:
-    """Sums over the decisions since the last log.
-
-    Args:
-        tags: The fields whose means are logged, and where.
-        n_zones: How many zones the world has.
-    """
-
-    def __init__(self, tags: Mapping[str, str], n_zones: int) -> None:
-        self._tags = tags
-        self._sums = dict.fromkeys(tags, 0.0)
-        self._zone_counts = np.zeros(n_zones, np.int64)
-        self._zone_sums = {"expected_errors": np.zeros(n_zones), "errors": np.zeros(n_zones)}
-        self._n_rows = 0
-
-    def add(self, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Count in some decisions."""
-        for field in self._sums:
-            self._sums[field] += float(columns[field].sum(dtype=np.float64))
-        self._n_rows += columns["errors"].size
-        if "zones" in columns:
-            zones, n_zones = columns["zones"].ravel(), len(self._zone_counts)
-            self._zone_counts += np.bincount(zones, minlength=n_zones)
-            if np.isfinite(self._sums["expected_errors"]):
-                for field, sums in self._zone_sums.items():
-                    sums += np.bincount(zones, columns[field].ravel(), n_zones)
-
-    def means(self, zone_names: Sequence[str]) -> dict[str, float]:
-        """Return the means, as far as there are any, and the share of each zone."""
-        means = {tag: self._sums[field] / self._n_rows for field, tag in self._tags.items()}
-        for zone, name in enumerate(zone_names):
-            n_rows = int(self._zone_counts[zone])
-            means[f"zones/{name}"] = n_rows / self._n_rows
-            if n_rows and np.isfinite(self._sums["expected_errors"]):
-                for field, kind in (("expected_errors", "expected"), ("errors", "actual")):
-                    total = float(self._zone_sums[field][zone])
-                    means[f"calibration/{name}/{kind}"] = total / n_rows
-        return {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
+def _means(tally: Tally, tags: Mapping[str, str], zone_names: Sequence[str]) -> dict[str, float]:
+    """Return the means over agents, as far as there are any, and the share of each zone."""
+    zones = tally.total(0)
+    whole = zones.total(1)
+    means = {tag: whole.means(column).item() for column, tag in tags.items()}
+    shares = (zones.counts / whole.counts)[0].tolist()
+    means |= {f"zones/{name}": share for name, share in zip(zone_names, shares, strict=False)}
+    if np.isfinite(means["error/expected"]):
+        for column, kind in (("expected_error", "expected"), ("error", "actual")):
+            by_zone = zip(zone_names, zones.means(column)[0].tolist(), strict=False)
+            means |= {f"calibration/{name}/{kind}": mean for name, mean in by_zone}
+    return {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
 
 
 class _Calibration:

@@ -144,14 +144,15 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
 def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     """Return figure 3: the share of its time that the robot spends in each zone, over time.
 
-    For several agents, lines are means and bands their 95 % bootstrap confidence intervals.
+    For several agents, recorded one by one or not, lines are means and bands their 95 % bootstrap
+    confidence intervals.
 
     Args:
         run: The run.
         window: Over how many decisions shares are taken; a shorter run is one window.
 
     Raises:
-        ValueError: The world has no zones.
+        ValueError: The world has no zones, or the window is none that was kept.
     """
     if not run.zone_names:
         raise ValueError(f"the world of {run.folder} has no zones, so there are no shares to draw")
@@ -172,7 +173,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
             _line(_zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
         ]
         if run.n_agents > 1:
-            label = f"95 % CI of the mean, {run.n_agents:,} agents"
+            label = f"95 % bootstrap CI\nof the mean, {run.n_agents:,} agents"
             key.append(Patch(label=label, **_band(MIXED_COLOUR)))
         _legend(figure, key)
     return figure

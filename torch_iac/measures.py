@@ -12,16 +12,18 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from torch_iac.runs import Run, by_decile, focus_steps, known_mean
+from torch_iac.runs import WINDOW, Run, by_decile, focus_steps, known_mean
 
 FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
 """The share of a window that counts as a focus on a zone, for the zones of the 2004 paper."""
 
 SETTLING = 1000
-"""How many first decisions the settled shares leave out, and how many last ones errors take."""
+"""How many first decisions the settled shares leave out, and how many last ones errors take, from
+the beginning of a window on; a multiple of `WINDOW`."""
 
 CALIBRATED = 5000
-"""How many first decisions MP's calibration leaves out; half of a run shorter than twice that."""
+"""How many first decisions MP's calibration leaves out; half of a run shorter than twice that. It
+is taken over the agents whose steps are recorded."""
 
 N_AGENTS_LISTED = 64
 """How many agents a summary lists one by one."""
@@ -49,7 +51,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Whether the errors are those that MP expected; means over agents.
+    """Whether the errors are those that MP expected; means over the recorded agents.
 
     Attributes:
         first_step: The decision from which on.
@@ -94,10 +96,11 @@ def calibration(run: Run) -> Calibration:
 def summarise(run: Run, seconds: float) -> dict[str, Any]:
     """Return the measures of a run, as `summary.json` holds them.
 
-    Shares and errors are means over agents, first cuts and focuses count agents and give medians;
-    `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. `errors` are those of the
-    last `SETTLING` decisions, of the main experts and of each shadow. What a short run, or one
-    without MP, does not have is None.
+    Shares and errors are means over all agents, first cuts and focuses count agents and give
+    medians; `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. `errors` are
+    those of the last `SETTLING` decisions, from the beginning of a window on, of the main experts
+    and of each shadow. Only `calibration` is over the agents whose steps are recorded. What a short
+    run, or one without MP, does not have is None.
 
     Args:
         run: The run.
@@ -108,6 +111,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
     errors = {name: _late_errors(run, column) for name, column in run.error_columns.items()}
     return {
         "n_agents": run.n_agents,
+        "n_recorded_agents": run.n_recorded,
         "n_decisions": n_decisions,
         "seconds": seconds,
         "decisions_per_second": n_decisions / seconds,
@@ -137,10 +141,9 @@ def _measures_by_zone(run: Run) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Return each measure of each zone, shape `(A,)`; NaN where there is nothing to measure."""
     if not run.zone_names:
         return {}
-    zones, n_zones = run.column("zone"), len(run.zone_names)
     measures = {
-        "zone_shares": _shares(zones, n_zones),
-        "settled_zone_shares": _shares(zones[SETTLING:], n_zones),
+        "zone_shares": _shares(run),
+        "settled_zone_shares": _shares(run, SETTLING // WINDOW),
         "late_zone_errors": _late_errors(run, "error")[:, 1:],
     }
     return {
@@ -162,13 +165,10 @@ def _each_zone(
 
 def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
     """Return each agent's mean error of late, in all and in each zone, shape `(A, 1 + Z)`."""
-    errors = run.column(column)[-SETTLING:]
-    means = [known_mean(errors, axis=0)]
-    if run.zone_names:
-        zones = run.column("zone")[-SETTLING:]
-        in_zone = (zones == zone for zone in range(len(run.zone_names)))
-        means += [known_mean(errors, axis=0, where=here) for here in in_zone]
-    return np.stack(means, axis=-1)
+    first = max(0, run.n_decisions - SETTLING) // WINDOW
+    late = run.windows[first:].total(0)
+    by_zone = late.means(column)[0, :, : len(run.zone_names)]
+    return np.concatenate([late.total(2).means(column)[0], by_zone], axis=1)
 
 
 def _describe_errors(run: Run, errors: NDArray[np.float64]) -> dict[str, Any]:
@@ -251,9 +251,17 @@ def _focus(run: Run) -> dict[str, list[int | None]]:
     }
 
 
-def _shares(zones: NDArray[np.int8], n_zones: int) -> NDArray[np.float64]:
-    """Return the share of each zone among decisions `(T, A)`, shape `(A, Z)`."""
-    return np.stack([known_mean(zones == zone, axis=0) for zone in range(n_zones)], axis=-1)
+def _shares(run: Run, first: int = 0) -> NDArray[np.float64]:
+    """Return the share of its time that each agent spends in each zone, shape `(A, Z)`.
+
+    Args:
+        run: The run.
+        first: The first window that counts.
+    """
+    counts = run.windows.counts[first:].sum(axis=0)
+    n_decisions = counts.sum(axis=1, keepdims=True)
+    nothing = np.full(counts.shape, np.nan)
+    return np.asarray(np.divide(counts, n_decisions, out=nothing, where=n_decisions > 0))
 
 
 def _number(value: float) -> float | None:

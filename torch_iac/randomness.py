@@ -32,8 +32,7 @@ class RandomStream:
         key = torch.tensor([_signed(seed) for seed in seeds], dtype=torch.int64, device=device)
         self._key = _mix(_mix(key + _GOLDEN) + _signed(stream * _GOLDEN))
         self._lanes = torch.arange(1, n_numbers + 1, device=device) * _GOLDEN
-        # Drawn for many decisions at once: for one agent the numbers then cost next to nothing.
-        self._block_size = max(1, min(256, _BLOCK_NUMBERS // (len(seeds) * n_numbers)))
+        self._block_size = block_size(len(seeds), n_numbers)
         self._block_start = -1
         self._block = torch.empty(0)
 
@@ -53,6 +52,14 @@ class RandomStream:
         decision_keys = _mix(self._key + (steps[:, None] + 1) * _GOLDEN)  # (B, A)
         bits = _mix(decision_keys[..., None] + self._lanes)  # (B, A, n)
         return _logical_shift(bits, 64 - _UNIT_BITS).float().mul_(2.0**-_UNIT_BITS)
+
+
+def block_size(n_agents: int, n_numbers: int) -> int:
+    """Return for how many decisions numbers are drawn at once.
+
+    For one agent, the numbers of a decision then cost next to nothing.
+    """
+    return max(1, min(256, _BLOCK_NUMBERS // (n_agents * n_numbers)))
 
 
 def _mix(z: Tensor) -> Tensor:

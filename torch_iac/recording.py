@@ -1,11 +1,14 @@
-"""Writes a run folder: its decisions, its regions, TensorBoard, a summary.
+"""Writes a run folder: its decisions, its windows, its regions, TensorBoard, a summary.
+
+Of every agent, each window of decisions is kept as a tally; of a large population, only the first
+agents' decisions one by one.
 
 Every file is written under a temporary name, fsynced and renamed, so whatever has its final name is
 whole, also after a crash. Shapes: `A` agents, `T` decisions in one part, `S` regions.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +17,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -22,18 +26,37 @@ from torch_iac.dashboard import Dashboard
 from torch_iac.files import dump_json, replace
 from torch_iac.measures import summarise
 from torch_iac.regions import NONE, Genealogy
-from torch_iac.runs import CONFIG, MAIN, REGIONS, STEPS, SUMMARY, load_run, part_path, shadow_error
+from torch_iac.runs import (
+    CONFIG,
+    MAIN,
+    REGIONS,
+    STEPS,
+    SUMMARY,
+    WINDOW,
+    WINDOWS,
+    load_run,
+    part_path,
+    shadow_error,
+    tallied_fields,
+)
 from torch_iac.space import Dimension, SensorimotorSpace
+from torch_iac.tallies import RunningTally, Tally, tally_columns
 
 DECISIONS_PER_PART = 2000
-"""A part is written after so many decisions, or earlier in a large population."""
+"""A part is written after so many decisions, or earlier where many agents are recorded."""
+
+ROWS_PER_PART = 2**19
+"""At most so many rows, a decision of an agent each, are kept in memory."""
+
+N_SHOWN = 64
+"""TensorBoard tells of the regions of so many agents, the first: they are looked up at each log."""
 
 DTYPES = {
-    "random_actions": np.bool_,
-    "errors": np.float64,
-    "expected_errors": np.float32,
-    "regions": np.int32,
-    "progress": np.float64,
+    "random_actions": torch.bool,
+    "errors": torch.float64,
+    "expected_errors": torch.float32,
+    "regions": torch.int32,
+    "progress": torch.float64,
 }
 """The fields of a step that are one number an agent; the rest are vectors in raw units, float32."""
 
@@ -59,8 +82,8 @@ class Recorded(Protocol):
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""
 
-    def region_summary(self) -> RegionSummary:
-        """Return what each present leaf knows."""
+    def region_summary(self, n_agents: int | None = None) -> RegionSummary:
+        """Return what each present leaf of the first so many agents knows, or of all."""
 
 
 class Recorder:
@@ -76,7 +99,11 @@ class Recorder:
     Leaving the block without an error writes `summary.json`: a folder that has one holds a run that
     went to its end. Leaving it with an error writes the decisions taken until then.
 
-    TensorBoard shows aggregates over all agents and, region by region, agent 0.
+    TensorBoard shows aggregates over all agents, what there is to tell of regions over the first
+    `N_SHOWN` and, region by region, agent 0.
+
+    A step is copied when it is recorded, on the device where it is; with a GPU, nothing comes from
+    there before a log or a part is due.
 
     Args:
         folder: Where to write; made if it is not there.
@@ -86,11 +113,13 @@ class Recorder:
             names of the shadows.
         log_every: How many decisions lie between two logs to TensorBoard.
         rows_per_part: At most so many rows (a decision of an agent) are kept in memory.
+        n_recorded: Of how many agents, the first, every decision is recorded; of all by default.
 
     Raises:
         FileExistsError: The folder already holds a run; it is not touched.
         NotADirectoryError: The folder is a file, or would lie in one.
-        ValueError: `log_every` or `rows_per_part` is below 1, or a shadow has a name of `RESERVED`.
+        ValueError: `log_every` or `rows_per_part` is below 1, `n_recorded` is not in [1, A], or a
+            shadow has a name of `RESERVED`.
     """
 
     def __init__(
@@ -101,11 +130,16 @@ class Recorder:
         config: Mapping[str, Any] | None = None,
         *,
         log_every: int = 100,
-        rows_per_part: int = 2**18,
+        rows_per_part: int = ROWS_PER_PART,
+        n_recorded: int | None = None,
     ) -> None:
         for name, value in (("log_every", log_every), ("rows_per_part", rows_per_part)):
             if value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
+        n_agents = len(agent.seeds)
+        n_recorded = n_agents if n_recorded is None else n_recorded
+        if not 1 <= n_recorded <= n_agents:
+            raise ValueError(f"n_recorded must lie in [1, {n_agents}], got {n_recorded}")
         shadows = tuple(agent.shadows)
         for name in shadows:
             if name in RESERVED:
@@ -117,13 +151,24 @@ class Recorder:
             "seeds": agent.seeds,
             "zones": zone_names,
             "shadows": shadows,
+            "recorded_agents": n_recorded,
         }
         write_config(self.folder, {**(config or {}), **known})
-        n_decisions = max(1, min(DECISIONS_PER_PART, rows_per_part // len(agent.seeds)))
         self._agent, self._log_every = agent, log_every
-        self._rows = _Rows(n_decisions, agent.space, agent.seeds, shadows, zone_names is not None)
-        self._n_parts = self._n_tallied = 0
-        self._dashboard = Dashboard(self.folder, len(agent.seeds), zone_names or (), shadows)
+        self._seeds, self._zone_names = np.array(agent.seeds, np.int64), tuple(zone_names or ())
+        self._rows = _Rows(
+            decisions_per_part(n_recorded, rows_per_part),
+            agent.space,
+            agent.seeds[:n_recorded],
+            shadows,
+            zone_names is not None,
+        )
+        self._tallied = tallied_fields(shadows)
+        self._tally = RunningTally(n_agents, len(self._zone_names), self._tallied)
+        self._windows: dict[int, Tally] = {}  # not yet on disk, by their first decision
+        self._first_decision = -1  # from which windows are counted
+        self._n_parts = self._n_told = 0
+        self._dashboard = Dashboard(self.folder, min(N_SHOWN, n_agents), self._zone_names, shadows)
         self._started = time.perf_counter()
 
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
@@ -138,12 +183,18 @@ class Recorder:
         """
         if (zones is not None) != self._rows.has_zones:
             raise ValueError("record needs zones if, and only if, the recorder has zone_names")
-        self._rows.add(step, zones)
-        if (step.number + 1) % self._log_every == 0:
-            self._tally()
-            self._dashboard.log(
-                step.number + 1, self._agent.region_summary(), self._agent.genealogy
-            )
+        on_device = None if zones is None else torch.as_tensor(zones, device=step.errors.device)
+        self._rows.add(step, on_device)
+        self._tally.add(on_device, _tallied_values(step))
+        if self._first_decision < 0:
+            self._first_decision = step.number
+        n_decisions = step.number + 1
+        is_log_due = n_decisions % self._log_every == 0
+        if is_log_due or (n_decisions - self._first_decision) % WINDOW == 0:
+            self._settle()
+        if is_log_due:
+            summary = self._agent.region_summary(N_SHOWN)
+            self._dashboard.log(n_decisions, summary, self._agent.genealogy)
         if self._rows.is_full:
             self.flush()
 
@@ -151,12 +202,14 @@ class Recorder:
         """Write what is kept in memory; when it returns, all decisions so far are on disk."""
         if not self._rows.count:
             return
-        self._tally()
+        self._settle()
         regions = region_table(self._agent.genealogy(), self._agent.space)
         _write_table(self.folder / REGIONS, regions)
+        _write_table(part_path(self.folder, self._n_parts, WINDOWS), self._window_table())
         _write_table(part_path(self.folder, self._n_parts), self._rows.table())
         self._rows.clear()
-        self._n_parts, self._n_tallied = self._n_parts + 1, 0
+        self._windows.clear()
+        self._n_parts, self._n_told = self._n_parts + 1, 0
         self._dashboard.flush()
 
     def close(self) -> None:
@@ -168,10 +221,34 @@ class Recorder:
             measures = summarise(load_run(self.folder), seconds)
             _write_json(self.folder / SUMMARY, measures)
 
-    def _tally(self) -> None:
-        """Show the dashboard what was recorded since the last time."""
-        self._dashboard.tally(self._rows.since(self._n_tallied))
-        self._n_tallied = self._rows.count
+    def _settle(self) -> None:
+        """Add what was tallied since the last time, all in one window, to that window."""
+        if self._n_told == self._rows.count:
+            return
+        last = self._rows.last_decision
+        start = last - (last - self._first_decision) % WINDOW
+        taken, known = self._tally.take(), self._windows.get(start)
+        self._windows[start] = taken if known is None else known + taken
+        self._dashboard.tally(taken, self._rows.since(self._n_told))
+        self._n_told = self._rows.count
+
+    def _window_table(self) -> pa.Table:
+        """Return the rows of the windows that are kept, by window, then agent."""
+        n_agents, n_windows = len(self._seeds), len(self._windows)
+        tallies = list(self._windows.values())
+        blocks = [
+            np.concatenate([tally.counts for tally in tallies]),
+            *(np.concatenate([tally.sums[name] for tally in tallies]) for name in self._tallied),
+        ]
+        columns = {
+            "step": np.repeat(np.array(list(self._windows), np.int64), n_agents),
+            "agent": np.tile(np.arange(n_agents, dtype=np.int32), n_windows),
+            "seed": np.tile(self._seeds, n_windows),
+        }
+        names = tally_columns(self._tallied, self._zone_names)
+        for block, of_block in zip(blocks, names, strict=True):
+            columns |= dict(zip(of_block, block.T, strict=True))
+        return pa.table({name: pa.array(c, from_pandas=True) for name, c in columns.items()})
 
     def __enter__(self) -> Self:
         return self
@@ -217,12 +294,34 @@ def region_table(genealogy: Genealogy, space: SensorimotorSpace) -> pa.Table:
     )
 
 
+def decisions_per_part(n_recorded: int, rows_per_part: int = ROWS_PER_PART) -> int:
+    """Return how many decisions of so many recorded agents one part holds."""
+    return max(1, min(DECISIONS_PER_PART, rows_per_part // n_recorded))
+
+
+def row_bytes(space: SensorimotorSpace, shadows: Sequence[str]) -> int:
+    """Return how many bytes one decision of a recorded agent takes while it is kept in memory."""
+    names = _column_names(space) | _shadow_names(space, shadows)
+    dtypes = _dtypes(shadows)
+    return sum(len(n) * dtypes.get(field, torch.float32).itemsize for field, n in names.items())
+
+
+def _tallied_values(step: Step) -> list[Tensor]:
+    """Return what windows sum up, in the order of `tallied_fields`."""
+    expected = step.expected_errors
+    unknown = torch.full_like(step.errors, torch.nan) if expected is None else expected
+    return [step.errors, unknown, step.progress, *(shadow.errors for shadow in step.shadows)]
+
+
 class _Rows:
-    """The decisions that are not yet on disk, in arrays made once.
+    """The decisions of recorded agents that are not yet on disk, in blocks made once.
+
+    The blocks are on the device of the steps, so that nothing waits for it.
 
     Attributes:
         count: How many they are.
         has_zones: Whether each comes with its zone.
+        last_decision: The number of the last.
     """
 
     def __init__(
@@ -233,43 +332,57 @@ class _Rows:
         shadows: Sequence[str],
         has_zones: bool,
     ) -> None:
-        self.count, self.has_zones = 0, has_zones
+        self.count, self.has_zones, self.last_decision = 0, has_zones, -1
         self._seeds = np.array(seeds, np.int64)
         self._decisions = np.empty(capacity, np.int64)
-        self._zones = np.empty((capacity, len(seeds)), np.int8)
         names = _column_names(space)
         self._fields_of = attrgetter(*names)
-        self._names = names | _shadow_names(space, shadows)
-        dtypes = DTYPES | {shadow_error(name): np.float64 for name in shadows}
-        shape = (capacity, len(seeds))
-        self._values: dict[str, NDArray[Any]] = {
-            field: np.empty(shape, dtypes[field])
+        zone = {"zones": ["zone"]} if has_zones else {}
+        self._names = zone | names | _shadow_names(space, shadows)
+        dtypes, shape = _dtypes(shadows), (capacity, len(seeds))
+        self._blocks = {
+            field: torch.empty(shape, dtype=dtypes[field])
             if field in dtypes
-            else np.empty((*shape, len(names)), np.float32)
+            else torch.empty(*shape, len(names))
             for field, names in self._names.items()
         }
+        self._device = torch.device("cpu")
+        # On the host numpy copies what is small in a third of the time.
+        self._on_host = [block.numpy() for block in self._blocks.values()]
 
     @property
     def is_full(self) -> bool:
         return self.count == len(self._decisions)
 
-    def add(self, step: Step, zones: NDArray[Any] | Tensor | None) -> None:
+    def add(self, step: Step, zones: Tensor | None) -> None:
         """Copy one decision."""
-        self._decisions[self.count] = step.number
-        if zones is not None:
-            on_host = zones.numpy(force=True) if isinstance(zones, Tensor) else zones
-            self._zones[self.count] = on_host
-        tensors = self._fields_of(step)
+        if self._device != step.errors.device:
+            self._device = step.errors.device
+            self._blocks = {field: b.to(self._device) for field, b in self._blocks.items()}
+        self._decisions[self.count] = self.last_decision = step.number
+        tensors: list[Tensor | None] = [] if zones is None else [zones]
+        tensors += self._fields_of(step)
         for shadow in step.shadows:
             tensors += (shadow.predictions, shadow.errors)
-        for tensor, values in zip(tensors, self._values.values(), strict=True):
-            values[self.count] = np.nan if tensor is None else tensor.numpy(force=True)
+        n_recorded, is_on_host = len(self._seeds), self._device.type == "cpu"
+        blocks: Iterable[Any] = self._on_host if is_on_host else self._blocks.values()
+        for tensor, block in zip(tensors, blocks, strict=True):
+            if tensor is None:
+                block[self.count] = torch.nan
+            else:
+                block[self.count] = (tensor.numpy() if is_on_host else tensor)[:n_recorded]
         self.count += 1
 
     def since(self, start: int) -> dict[str, NDArray[Any]]:
-        """Return the fields of the decisions kept at `start` and later, each `(T, A, ...)`."""
-        columns = {"zones": self._zones} if self.has_zones else {}
-        return {name: kept[start : self.count] for name, kept in (columns | self._values).items()}
+        """Return errors and what MP expected of them, each `(T, A)`, from `start` on.
+
+        Of the first agents only, as many as TensorBoard needs.
+        """
+        kept = slice(start, self.count)
+        return {
+            field: self._blocks[field][kept, :N_SHOWN].numpy(force=True)
+            for field in ("errors", "expected_errors")
+        }
 
     def clear(self) -> None:
         """Start anew."""
@@ -283,12 +396,16 @@ class _Rows:
             "agent": np.tile(np.arange(n_agents, dtype=np.int32), self.count),
             "seed": np.tile(self._seeds, self.count),
         }
-        if self.has_zones:
-            columns["zone"] = self._zones[kept].ravel()
         for field, names in self._names.items():
-            block = self._values[field][kept].reshape(self.count * n_agents, len(names))
-            columns |= dict(zip(names, block.T, strict=True))
+            block = self._blocks[field][kept].numpy(force=True)
+            by_name = block.reshape(self.count * n_agents, len(names)).T
+            columns |= dict(zip(names, by_name, strict=True))
         return pa.table({name: pa.array(c, from_pandas=True) for name, c in columns.items()})
+
+
+def _dtypes(shadows: Sequence[str]) -> dict[str, torch.dtype]:
+    """Return the type of each field that is one number an agent."""
+    return {"zones": torch.int8} | DTYPES | {shadow_error(s): torch.float64 for s in shadows}
 
 
 def _column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
@@ -329,7 +446,8 @@ def _claim(folder: Path) -> None:
     held = held or any(folder.glob("events.out.tfevents.*"))
     if held or (folder / STEPS).exists():
         raise FileExistsError(f"{folder} already holds a run; choose another folder")
-    (folder / STEPS).mkdir(parents=True)
+    for kind in (STEPS, WINDOWS):
+        (folder / kind).mkdir(parents=True)
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

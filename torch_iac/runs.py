@@ -17,9 +17,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from torch_iac.space import SensorimotorSpace
+from torch_iac.tallies import Tally, tally_columns
 
 CONFIG = "config.json"
 STEPS = "steps"
+WINDOWS = "windows"
 REGIONS = "regions.parquet"
 SUMMARY = "summary.json"
 
@@ -29,7 +31,8 @@ MAIN = "main"
 N_DECILES = 10
 
 WINDOW = 250
-"""How many decisions a window of time holds, if nobody says otherwise."""
+"""How many decisions a window of time holds, if nobody says otherwise; and the windows in which
+runs keep what all their agents did."""
 
 ERROR_WINDOW = 150
 """Over how many errors a mean error is taken in a run whose config does not say."""
@@ -47,14 +50,19 @@ def load_run(folder: Path | str) -> "Run":
     return Run(folder)
 
 
-def part_path(folder: Path, number: int) -> Path:
-    """Return where a run folder keeps a part of its decisions; parts count from 0."""
-    return folder / STEPS / f"part-{number:05d}.parquet"
+def part_path(folder: Path, number: int, kind: str = STEPS) -> Path:
+    """Return where a run folder keeps a part of its `STEPS` or `WINDOWS`; parts count from 0."""
+    return folder / kind / f"part-{number:05d}.parquet"
 
 
 def shadow_error(name: str) -> str:
     """Return the column that holds the errors of a shadow."""
     return f"shadow/{name}/error"
+
+
+def tallied_fields(shadows: Sequence[str]) -> list[str]:
+    """Return the columns of the steps that windows sum up."""
+    return ["error", "expected_error", "progress", *map(shadow_error, shadows)]
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,11 @@ class Run:
         return len(self.seeds)
 
     @property
+    def n_recorded(self) -> int:
+        """Of how many agents, the first, the steps are recorded."""
+        return int(self.config.get("recorded_agents", self.n_agents))
+
+    @property
     def zone_names(self) -> tuple[str, ...]:
         """The names of the world's zones; none if it has no zones."""
         return tuple(self.config["zones"] or ())
@@ -141,11 +154,13 @@ class Run:
     def n_decisions(self) -> int:
         """How many decisions each agent has taken so far."""
         n_rows: int = sum(_open_part(path).metadata.num_rows for path in self.parts())
-        return n_rows // self.n_agents
+        return n_rows // self.n_recorded
 
     @cached_property
     def steps(self) -> pa.Table:
-        """Every column of every decision, by step, then agent: `run.steps["error"].to_numpy()`.
+        """Every column of every recorded decision: `run.steps["error"].to_numpy()`.
+
+        Rows are by step, then agent; of the first `n_recorded` agents.
 
         For a big run, ask for what you need: `table` and `column`.
         """
@@ -156,43 +171,71 @@ class Run:
         """Every region ever made, by agent, then region."""
         return _read_part(self.folder / REGIONS)
 
-    def parts(self) -> list[Path]:
-        """Return the files that hold the decisions, in order.
+    @cached_property
+    def windows(self) -> Tally:
+        """What every agent did, recorded or not, in each `WINDOW` decisions; shape `(W, A, Z)`.
+
+        The last window has fewer decisions if the run does not end with it.
+        """
+        parts = [_read_part(path) for path in self.parts(WINDOWS)]
+        firsts = np.concatenate([_first_decisions(part) for part in parts])
+        numbers = (firsts - firsts[0]) // WINDOW
+
+        def by_window(names: Sequence[str]) -> NDArray[Any]:
+            rows = [np.stack([part[name].to_numpy() for name in names], axis=-1) for part in parts]
+            blocks = np.concatenate(rows).reshape(len(numbers), self.n_agents, len(names))
+            # A window that two parts share has rows in both.
+            total = np.zeros((numbers.max() + 1, *blocks.shape[1:]), blocks.dtype)
+            np.add.at(total, numbers, blocks)
+            return total
+
+        fields = tallied_fields(self.shadow_names)
+        counts, *sums = map(by_window, tally_columns(fields, self.zone_names))
+        return Tally(counts, dict(zip(fields, sums, strict=True)))
+
+    def parts(self, kind: str = STEPS) -> list[Path]:
+        """Return the files that hold the decisions, or the `WINDOWS`, in order.
 
         Raises:
             FileNotFoundError: There are none yet, or one is missing.
         """
-        found = sorted((self.folder / STEPS).glob("part-*.parquet"))
+        found = sorted((self.folder / kind).glob("part-*.parquet"))
         if not found:
             raise FileNotFoundError(f"{self.folder} holds no decisions yet")
-        expected = [part_path(self.folder, number) for number in range(len(found))]
+        expected = [part_path(self.folder, number, kind) for number in range(len(found))]
         missing = [path for path in expected if path not in found]
         if missing:
             raise FileNotFoundError(f"{missing[0]} is missing, though later parts are there")
         return expected
 
     def table(self, columns: Sequence[str] | None = None, agent: int | None = None) -> pa.Table:
-        """Return some columns, by step, then agent.
+        """Return some columns of the steps, by step, then agent.
 
         Args:
             columns: Their names; all if none are given.
-            agent: The only agent to return; all if none is given.
+            agent: The only agent to return; all that are recorded if none is given.
 
         Raises:
-            ValueError: There is no such agent or column, or a part cannot be read (it is named).
+            ValueError: There is no such agent or column, the agent's steps are not recorded, or a
+                part cannot be read (it is named).
         """
         if agent is None:
             return pa.concat_tables([_read_part(path, columns) for path in self.parts()])
         self._check_agent(agent)
+        if agent >= self.n_recorded:
+            raise ValueError(
+                f"agent must be one of the first {self.n_recorded} of {self.n_agents}, whose steps "
+                f"are recorded, got {agent}"
+            )
         return pa.concat_tables(
-            part.take(np.arange(agent, part.num_rows, self.n_agents))
+            part.take(np.arange(agent, part.num_rows, self.n_recorded))
             for part in (_read_part(path, columns) for path in self.parts())
         )
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one column, shape `(T, A)`; nulls become NaN."""
+        """Return one column of the recorded agents, the first, shape `(T, A)`; nulls are NaN."""
         values: NDArray[Any] = self.table([name])[name].to_numpy()
-        return values.reshape(-1, self.n_agents)
+        return values.reshape(-1, self.n_recorded)
 
     def family(self, agent: int = 0) -> pa.Table:
         """Return the regions of one agent; row `i` is region `i`."""
@@ -296,18 +339,18 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
 
     Args:
         run: The run.
-        window: Decisions a window; a last window that is not full is left out.
+        window: Decisions a window; a last window that is not full is left out. Any number if the
+            steps of all agents are recorded, else a multiple of `WINDOW`.
 
     Returns:
         Shape `(W, A, Z)`.
 
     Raises:
-        ValueError: The world has no zones.
+        ValueError: The world has no zones, or the window is none that was kept.
     """
-    zones = run.column("zone")
-    n_windows = len(zones) // window
-    windows = zones[: n_windows * window].reshape(n_windows, window, run.n_agents)
-    return np.stack([(windows == z).mean(axis=1) for z in range(len(run.zone_names))], axis=-1)
+    if not run.zone_names:
+        raise ValueError(f"the world of {run.folder} has no zones, so it has no shares of them")
+    return np.asarray(tally(run, "error", window).counts / window)
 
 
 def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArray[np.float64]:
@@ -316,18 +359,50 @@ def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArra
     Args:
         run: The run.
         column: Whose errors, by their column; `run.error_columns` has them.
-        window: Decisions a window; a last window that is not full is left out.
+        window: Decisions a window, as `zone_shares` has it.
 
     Returns:
         Shape `(W, A, Z)`; NaN where an agent was not there. Without zones, one stands for all.
+
+    Raises:
+        ValueError: The window is none that was kept.
     """
-    errors = run.column(column)
-    zones = run.column("zone") if run.zone_names else np.zeros(errors.shape, np.int8)
-    n_windows = len(errors) // window
+    return tally(run, column, window).means(column)
+
+
+def tally(run: Run, column: str, window: int = WINDOW) -> Tally:
+    """Return what every agent did in each full window of decisions, shape `(W, A, Z)`.
+
+    Args:
+        run: The run.
+        column: What is summed up.
+        window: Decisions a window, as `zone_shares` has it.
+
+    Raises:
+        ValueError: The window is none that was kept.
+    """
+    n_windows = run.n_decisions // window
+    if window % WINDOW == 0 or window == run.n_decisions < WINDOW:
+        n_kept = -(-window // WINDOW)  # windows that were kept in one that is asked for
+
+        def joined(values: NDArray[Any]) -> NDArray[Any]:
+            shape = (n_windows, n_kept, *values.shape[1:])
+            return np.asarray(values[: n_windows * n_kept].reshape(shape).sum(axis=1))
+
+        return Tally(joined(run.windows.counts), {column: joined(run.windows.sums[column])})
+    if run.n_recorded < run.n_agents:
+        raise ValueError(
+            f"window must be a multiple of {WINDOW} where the steps of {run.n_recorded} of "
+            f"{run.n_agents} agents are recorded, got {window}"
+        )
+    values = run.column(column)
+    zones = run.column("zone") if run.zone_names else np.zeros(values.shape, np.int8)
     shape = (n_windows, window, run.n_agents)
-    errors, zones = (values[: n_windows * window].reshape(shape) for values in (errors, zones))
-    in_zone = [zones == zone for zone in range(max(1, len(run.zone_names)))]
-    return np.stack([known_mean(errors, axis=1, where=here) for here in in_zone], axis=-1)
+    values, zones = (of[: n_windows * window].reshape(shape) for of in (values, zones))
+    here = [zones == zone for zone in range(max(1, len(run.zone_names)))]
+    counts = np.stack([of.sum(axis=1) for of in here], axis=-1)
+    sums = np.stack([np.sum(values, axis=1, where=of, dtype=np.float64) for of in here], axis=-1)
+    return Tally(counts, {column: sums})
 
 
 def by_decile(
@@ -371,6 +446,12 @@ def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list
     """
     focused = zone_shares(run, window)[:, :, run.zone_names.index(zone)] > share
     return [int(mine.argmax()) * window if mine.any() else None for mine in focused.T]
+
+
+def _first_decisions(windows: pa.Table) -> NDArray[np.int64]:
+    """Return the first decision of each window in a part, whose rows are by window, then agent."""
+    steps: NDArray[np.int64] = windows.filter(pc.field("agent") == 0)["step"].to_numpy()
+    return steps
 
 
 def _decisions_by_region(regions: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:

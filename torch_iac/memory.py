@@ -1,0 +1,266 @@
+"""How much memory a run will need, estimated before it begins, and how much there is.
+
+Memory grows with the leaves of the region trees, and those with decisions. Tables double when they
+are full.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from torch_iac.config import IACConfig
+from torch_iac.experts import Experts, MLPExperts, NetworkExperts, NetworkTraining
+from torch_iac.networks import MLP, Training
+from torch_iac.randomness import block_size
+from torch_iac.recording import decisions_per_part, row_bytes
+from torch_iac.space import SensorimotorSpace
+
+MARGIN = 1.2
+"""How much is taken from the system for what is needed: not every gap can be used again."""
+
+CUT_BYTES = 64
+"""What finding the best cut takes for a moment, for each coordinate of each example: its rank and
+its value, and sums and gains in float64."""
+
+NODE_BYTES = 1500
+"""What a leaf, its ancestors and their exits take in the region tree, whose tables double too."""
+
+CANDIDATE_BYTES = 200
+"""What routing takes for a moment for each candidate: eight comparisons and their numbers."""
+
+DRAW_BYTES = 24
+"""What drawing a random number takes for a moment."""
+
+READ_BYTES = 64
+"""What summing up takes, at the end, for each row that was recorded."""
+
+GROUPS = (
+    ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    (
+        "/sys/fs/cgroup/memory",
+        "memory.limit_in_bytes",
+        "memory.usage_in_bytes",
+        "total_inactive_file",
+    ),
+)
+"""Where Linux says how much a group of processes may take and has taken, and how much of that it
+would give back; newer and older."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a run needs, in bytes.
+
+    Attributes:
+        tables: What the agents keep, where they are.
+        working: What they take for a moment, there too.
+        recorded: The decisions that are not yet on disk, there too.
+        on_host: In the main memory, to write and to sum up what is recorded.
+    """
+
+    tables: int
+    working: int
+    recorded: int
+    on_host: int
+
+    @property
+    def on_device(self) -> int:
+        """All that is needed where the agents are."""
+        return int(MARGIN * (self.tables + self.working + self.recorded))
+
+
+def check_memory(
+    space: SensorimotorSpace,
+    config: IACConfig,
+    n_agents: int,
+    n_decisions: int,
+    n_recorded: int,
+    device: torch.device,
+    world_bytes: int = 0,
+) -> None:
+    """Refuse a run that will not fit into memory; where free memory is not known, refuse none.
+
+    Args:
+        space: What the robots do, sense and predict.
+        config: The numbers of the algorithm.
+        n_agents: How many robots.
+        n_decisions: How many decisions each takes.
+        n_recorded: Of how many every decision is recorded.
+        device: Where the robots are.
+        world_bytes: What each robot's world takes in the main memory.
+
+    Raises:
+        ValueError: It will not fit; the message says what is needed and what is free.
+    """
+    need = memory_needed(space, config, n_agents, n_decisions, n_recorded)
+    needed = {"cpu": need.on_host + n_agents * world_bytes}
+    place = "cpu" if device.type == "cpu" else str(device)
+    needed[place] = needed.get(place, 0) + need.on_device
+    for place, n_bytes in needed.items():
+        free = free_memory(torch.device(place))
+        if free is not None and n_bytes > free:
+            raise ValueError(
+                f"a run must fit into memory: {n_agents:,} agents and {n_decisions:,} decisions "
+                f"need about {n_bytes / 1e9:.1f} GB on {place}, got {free / 1e9:.1f} GB free; "
+                "lower agents, steps or max_examples"
+            )
+
+
+def memory_needed(
+    space: SensorimotorSpace,
+    config: IACConfig,
+    n_agents: int,
+    n_decisions: int,
+    n_recorded: int | None = None,
+) -> Need:
+    """Return about how much memory a run needs; experts of an unknown kind count as nothing.
+
+    Args:
+        space: What the robots do, sense and predict.
+        config: The numbers of the algorithm.
+        n_agents: How many robots.
+        n_decisions: How many decisions each takes.
+        n_recorded: Of how many every decision is recorded; of none if not given.
+    """
+    dims = len(space.situation), len(space.outcomes)
+    capacity = 2 ** (_n_leaves(config, n_decisions) - 1).bit_length()  # rows double
+    drawn = _numbers_drawn(config, len(space.actions), n_agents)
+    # While the largest column doubles, its old half is there too.
+    doubling = (capacity // 2) * dims[0] * (config.max_examples + 1) * 4 if capacity > 1 else 0
+    n_rows = n_block = 0
+    if n_recorded:
+        n_rows = n_decisions * n_recorded
+        n_block = min(n_decisions, decisions_per_part(n_recorded)) * n_recorded
+    block = n_block * row_bytes(space, tuple(config.shadows))
+    leaves = capacity * _leaf_bytes(config, *dims)
+    return Need(
+        tables=n_agents * (leaves + _agent_bytes(config, dims[0])) + 4 * sum(drawn),
+        working=n_agents * max(doubling, *_working_bytes(config, space)) + DRAW_BYTES * max(drawn),
+        recorded=block,
+        # A part is written from a copy; in the end all that was recorded is read for the summary.
+        on_host=max(2 * block, n_rows * READ_BYTES),
+    )
+
+
+def free_memory(device: torch.device) -> int | None:
+    """Return how many bytes are free on a device; None where nobody says."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    known = [*_free_of_machine(), *_free_of_groups()] if device.type == "cpu" else []
+    return min(known, default=None)
+
+
+def _n_leaves(config: IACConfig, n_decisions: int) -> int:
+    """Return how many leaves an agent's tree is expected to have."""
+    if n_decisions <= config.max_examples:
+        return 1
+    # How full a leaf is on average; lopsided cuts leave small ones.
+    fill = min(0.7, round(0.3 + 4 / 3 * config.balance, 3))
+    return ceil(n_decisions / (fill * config.max_examples))
+
+
+def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
+    """Return what each leaf takes."""
+    examples = (situation_dim + outcome_dim) * (config.max_examples + 1) * 4
+    history = (config.delay + config.window + 1) * 8
+    networks = sum(
+        _network_bytes(_module(experts, situation_dim, outcome_dim))
+        for experts in (config.experts, *config.shadows.values())
+    )
+    return examples + history + networks + NODE_BYTES
+
+
+def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
+    """Return what each agent takes, however many leaves its tree has."""
+    n_bytes = (config.delay + config.window + 1) * 8 if "whole_history" in config.drive.needs else 0
+    for training in (config.meta, config.improvement):
+        if training is not None:
+            n_bytes += (situation_dim + 1) * training.memory * 4
+            n_bytes += _network_bytes(MLP(training.hidden)(situation_dim, 1))
+    return n_bytes
+
+
+def _numbers_drawn(config: IACConfig, action_dim: int, n_agents: int) -> list[int]:
+    """Return how many random numbers each stream draws at once, for all agents."""
+    needed = [2 + config.n_candidates * action_dim]
+    for part in (config.experts, *config.shadows.values(), config.meta, config.improvement):
+        if isinstance(part, Training):
+            needed.append(part.minibatches * part.minibatch_size)
+    return [n_agents * n * block_size(n_agents, n) for n in needed]
+
+
+def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]:
+    """Yield what each agent takes for a moment: to cut, to weigh candidates, to learn."""
+    dim, n_examples = len(space.situation), config.max_examples + 1
+    yield CUT_BYTES * dim * n_examples  # all agents' first cuts fall on the same decision
+    yield config.n_candidates * (3 * dim * 4 + CANDIDATE_BYTES)
+    for experts in (config.experts, *config.shadows.values()):
+        module = _module(experts, dim, len(space.outcomes))
+        if module is not None and isinstance(experts, NetworkTraining):
+            yield _training_bytes(module, experts, dim)
+    for training in (config.meta, config.improvement):
+        if training is not None:
+            module = MLP(training.hidden)(dim, 1)
+            yield _training_bytes(module, training, dim)
+            yield config.n_candidates * 4 * 2 * _n_units(module)
+
+
+def _module(experts: Experts, situation_dim: int, outcome_dim: int) -> nn.Module | None:
+    """Return a network of a kind of experts; None of those that are no networks."""
+    with torch.random.fork_rng(devices=[]):
+        if isinstance(experts, MLPExperts):
+            return MLP(experts.hidden)(situation_dim, outcome_dim)
+        if isinstance(experts, NetworkExperts):
+            return experts.module(situation_dim, outcome_dim)
+    return None
+
+
+def _network_bytes(module: nn.Module | None) -> int:
+    """Return what a network takes: its weights, and twice as much that the optimiser remembers."""
+    return 0 if module is None else 3 * 4 * _n_weights(module)
+
+
+def _training_bytes(module: nn.Module, training: Training, situation_dim: int) -> int:
+    """Return what a network takes for a moment while it learns.
+
+    All minibatches of a decision are picked at once; each layer keeps what it made and its
+    gradient; weights, gradient and memory are copied, and copied again by a step.
+    """
+    picked = training.minibatches * training.minibatch_size * (8 + 4 * situation_dim)
+    layers = 4 * 4 * training.minibatch_size * _n_units(module)
+    return picked + layers + 8 * 4 * _n_weights(module)
+
+
+def _n_weights(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+def _n_units(module: nn.Module) -> int:
+    """Return how many numbers the layers of a network make, going by their biases."""
+    return sum(parameter.numel() for parameter in module.parameters() if parameter.ndim == 1)
+
+
+def _free_of_machine() -> Iterator[int]:
+    """Yield how much memory the machine has free, if it says so as Linux does."""
+    path = Path("/proc/meminfo")
+    if path.is_file():
+        lines = dict(line.split(":", 1) for line in path.read_text().splitlines())
+        yield int(lines["MemAvailable"].split()[0]) * 1024
+
+
+def _free_of_groups() -> Iterator[int]:
+    """Yield how much memory the limits of this process's groups leave free."""
+    path = Path("/proc/self/cgroup")
+    own = [line.split(":")[2] for line in path.read_text().splitlines()] if path.is_file() else []
+    for root, most, taken, idle in GROUPS:
+        for folder in {Path(root), *(Path(root) / name.strip("/") for name in own)}:
+            limit = folder / most
+            if limit.is_file() and (text := limit.read_text().strip()) != "max":
+                stat = dict(
+                    line.split() for line in (folder / "memory.stat").read_text().splitlines()
+                )
+                yield int(text) - int((folder / taken).read_text()) + int(stat.get(idle, 0))
