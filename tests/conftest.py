@@ -2,10 +2,13 @@
 
 import pytest
 import torch
+from hypothesis import settings
 
 from torch_iac import Dimension, SensorimotorSpace
 
 torch.set_num_threads(1)
+settings.register_profile("untimed", deadline=None)  # how fast the machine is decides no test
+settings.load_profile("untimed")
 
 
 @pytest.fixture

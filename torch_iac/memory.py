@@ -180,7 +180,7 @@ def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
     for training in (config.meta, config.improvement):
         if training is not None:
             n_bytes += (situation_dim + 1) * training.memory * 4
-            n_bytes += _network_bytes(MLP(training.hidden)(situation_dim, 1))
+            n_bytes += _network_bytes(MLP(training.hidden)(situation_dim * training.bins, 1))
     return n_bytes
 
 
@@ -204,9 +204,10 @@ def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]
             yield _training_bytes(module, experts, dim)
     for training in (config.meta, config.improvement):
         if training is not None:
-            module = MLP(training.hidden)(dim, 1)
-            yield _training_bytes(module, training, dim)
-            yield config.n_candidates * 4 * 2 * _n_units(module)
+            n_inputs = dim * training.bins
+            module = MLP(training.hidden)(n_inputs, 1)
+            yield _training_bytes(module, training, dim + n_inputs)
+            yield config.n_candidates * 4 * (n_inputs + 2 * _n_units(module))
 
 
 def _module(experts: Experts, situation_dim: int, outcome_dim: int) -> nn.Module | None:
@@ -224,13 +225,13 @@ def _network_bytes(module: nn.Module | None) -> int:
     return 0 if module is None else 3 * 4 * _n_weights(module)
 
 
-def _training_bytes(module: nn.Module, training: Training, situation_dim: int) -> int:
+def _training_bytes(module: nn.Module, training: Training, n_inputs: int) -> int:
     """Return what a network takes for a moment while it learns.
 
     All minibatches of a decision are picked at once; each layer keeps what it made and its
     gradient; weights, gradient and memory are copied, and copied again by a step.
     """
-    picked = training.minibatches * training.minibatch_size * (8 + 4 * situation_dim)
+    picked = training.minibatches * training.minibatch_size * (8 + 4 * n_inputs)
     layers = 4 * 4 * training.minibatch_size * _n_units(module)
     return picked + layers + 8 * 4 * _n_weights(module)
 
