@@ -457,9 +457,9 @@ class _Stop:
         return bool(self.signals)
 
     def receive(self, number: int, frame: object) -> None:
-        """Note a signal; the second Ctrl-C does not wait for the decision to end."""
+        """Note a signal; the second does not wait for the decision to end."""
         del frame
-        if self.signals and number == signal.SIGINT:
+        if self.signals:
             raise KeyboardInterrupt
         self.signals.append(number)
 

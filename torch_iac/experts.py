@@ -123,7 +123,7 @@ def _squared_distances(examples: Examples, rows: Tensor, situations: Tensor) -> 
     """Return the squared distance of each situation to each example of its row, `(A, N)`."""
     at_once = AGENTS_IN_CACHE if rows.device.type == "cpu" else len(rows)
     if len(rows) > at_once:
-        parts = zip(rows.split(at_once), situations.split(at_once), strict=True)
+        parts = zip(*(torch.split(of, at_once) for of in (rows, situations)), strict=True)
         return torch.cat([_squared_distances(examples, *part) for part in parts])
     offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
     return offsets.square_().sum(dim=1)
