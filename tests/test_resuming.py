@@ -12,7 +12,7 @@ import pytest
 from safetensors.numpy import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torch_iac import training
+from torch_iac import cli, training
 from torch_iac.checkpoint import Checkpoints
 from torch_iac.cli import CHECKPOINTS, main
 from torch_iac.runs import load_run
@@ -268,3 +268,12 @@ def test_checkpoints_keep_to_their_share_of_the_time(
     monkeypatch.setattr(Checkpoints, "write", noted)
     main(["train", "--world", "kinematic", *WORDS, "--out", str(tmp_path / "run")])
     assert written == [7, N_DECISIONS]  # none is affordable after the first, but the last is due
+
+
+def test_a_second_signal_does_not_wait_for_the_decision_to_end() -> None:
+    with cli._stopping() as stop:
+        signal.raise_signal(signal.SIGTERM)
+        assert stop()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
