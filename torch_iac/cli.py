@@ -44,7 +44,7 @@ from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
-from torch_iac.training import CHECKPOINT_EVERY, train
+from torch_iac.training import CHECKPOINT_EVERY, World, train
 
 WORLDS = {
     "toyroom": "torch_iac_envs/ToyRoom-v0",
@@ -209,21 +209,29 @@ class Train:
                 n_recorded=n_recorded,
                 resume=resume,
             )
-            world = {"name": self.world, "options": options}
-            checkpoints = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
-            with recorder, _stopping() as stop:
-                every = self.checkpoint_every
-                live = train(
-                    agent, env, self.steps, recorder, checkpoints, checkpoint_every=every, stop=stop
-                )
-                if not live:
-                    raise StoppedError(stop.signals[0], agent.n_decisions, out)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted; go on with: torch-iac resume {out}") from None
+            self._develop(agent, env, recorder, options)
         finally:
             env.close()
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
+
+    def _develop(
+        self, agent: IAC, env: World, recorder: Recorder, options: Mapping[str, Any]
+    ) -> None:
+        """Train; whatever ends it early comes with how to go on."""
+        out, world = recorder.folder, {"name": self.world, "options": options}
+        saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+        every = self.checkpoint_every
+        try:
+            with recorder, _stopping() as stop:
+                if not train(
+                    agent, env, self.steps, recorder, saved, checkpoint_every=every, stop=stop
+                ):
+                    raise StoppedError(stop.signals[0], agent.n_decisions, out)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {_how_to_go_on(out)}") from None
+        except OSError as error:
+            raise OSError(f"{_sentence(error)}; {_how_to_go_on(out)}") from error
 
     def _space(self, options: Mapping[str, Any], device: torch.device) -> SensorimotorSpace:
         """Return what the robots do, sense and predict, from a single world."""
@@ -336,8 +344,8 @@ def _exit(code: int, sentence: str) -> NoReturn:
 
 def _sentence(error: Exception) -> str:
     """Return what an error says, without the number that the operating system gave it."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 
@@ -437,10 +445,12 @@ class StoppedError(Exception):
     """A run was asked to stop, and did so after a decision."""
 
     def __init__(self, number: int, n_decisions: int, folder: Path) -> None:
-        super().__init__(
-            f"stopped after decision {n_decisions}; go on with: torch-iac resume {folder}"
-        )
+        super().__init__(f"stopped after decision {n_decisions}; {_how_to_go_on(folder)}")
         self.signal = number
+
+
+def _how_to_go_on(folder: Path) -> str:
+    return f"go on with: torch-iac resume {folder}"
 
 
 class _Stop:
