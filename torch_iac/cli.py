@@ -22,6 +22,7 @@ import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC, available_device
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
+from torch_iac.counts import check_count
 from torch_iac.drives import (
     AbsoluteProgress,
     Curriculum,
@@ -39,6 +40,7 @@ from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
+from torch_iac.refusals import plain_refusals
 from torch_iac.runs import WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import train
@@ -162,10 +164,8 @@ class Train:
 
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "recorded_agents"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.recorded_rows < 0:
-            raise ValueError(f"recorded_rows must be at least 0, got {self.recorded_rows}")
+            check_count(name, getattr(self, name))
+        check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
@@ -263,7 +263,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command = _parsed(arguments)
+        with plain_refusals():
+            command = _parsed(arguments)
         if isinstance(command, Train):
             command.run(["torch-iac", *arguments])
         else:
@@ -280,10 +281,11 @@ def _exit(code: int, sentence: str) -> NoReturn:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what an error says, without the number that the operating system gave it."""
+    """Return what an error says, in one line, without the number of the operating system."""
+    text = str(error)
     if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
+        text = f"{error.filename}: {error.strerror}"
+    return " ".join(text.split())
 
 
 def _parsed(arguments: Sequence[str]) -> Train | Figures:
