@@ -34,7 +34,7 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
-    runs = robots_of(study.out, study.seeds, study.steps, study.processes)
+    runs = robots_of(study.out, range(study.seeds), study.steps, study.processes)
     robots = [run.summary["agents"][0] for run in runs]
     print("| seed | first cut | focus on f3 | focus on f2 | f1 after 1,000 | f2 after 1,000 |")
     print("|---|---|---|---|---|---|")
@@ -63,10 +63,10 @@ def main(study: Study) -> None:
         )
 
 
-def robots_of(folder: Path, n_seeds: int, n_steps: int, processes: int) -> list[Run]:
-    """Return the runs of robots with the seeds 0, 1, ...; those that are not there yet are run."""
+def robots_of(folder: Path, seeds: range, n_steps: int, processes: int) -> list[Run]:
+    """Return the runs of robots with these seeds; those that are not there yet are run."""
     config = IACConfig(meta=MetaPredictor())
-    lives = [Life(folder / f"seed-{seed:03d}", config, seed, n_steps) for seed in range(n_seeds)]
+    lives = [Life(folder / f"seed-{seed:03d}", config, seed, n_steps) for seed in seeds]
     return live_all(lives, processes)
 
 

@@ -50,6 +50,8 @@ class Study:
     """How many robots a drive, with the seeds 0, 1, ..."""
     steps: int = 10_000
     """How many decisions each takes."""
+    only: tuple[str, ...] = ()
+    """Only these rows of the table; all by default."""
     out: Path = Path("runs/drives")
     """Where the run folders go."""
     processes: int = 2
@@ -58,9 +60,10 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
+    variants = {name: VARIANTS[name] for name in study.only or VARIANTS}
     lives = [
         Life(study.out / name.replace(" ", "-") / f"seed-{seed:03d}", config, seed, study.steps)
-        for name, config in VARIANTS.items()
+        for name, config in variants.items()
         for seed in range(study.seeds)
     ]
     runs = live_all(lives, study.processes)
@@ -69,7 +72,7 @@ def main(study: Study) -> None:
         f"| drive | first 1,000: f1, f2, f3 | last {late:,}: f1, f2, f3 (range of f1) "
         "| focus on f3 | focus on f2 |\n|---|---|---|---|---|"
     )
-    for i, name in enumerate(VARIANTS):
+    for i, name in enumerate(variants):
         robots = runs[i * study.seeds : (i + 1) * study.seeds]
         first = np.array([shares(run)[0] for run in robots])
         last = np.array([shares(run, late)[1] for run in robots])

@@ -44,7 +44,9 @@ class Study:
     """How many robots develop for how long in each room."""
 
     seeds: int = 20
-    """How many robots, with the seeds 0, 1, ..."""
+    """How many robots, with seeds in succession."""
+    first_seed: int = 0
+    """The first of the seeds."""
     steps: int = 10_000
     """How many decisions each takes."""
     pybullet: Path = Path("runs/development")
@@ -57,22 +59,23 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
-    runs = robots_of(study.pybullet, study.seeds, study.steps, study.processes)
+    seeds = range(study.first_seed, study.first_seed + study.seeds)
+    runs = robots_of(study.pybullet, seeds, study.steps, study.processes)
     physical = [run.summary["agents"][0] for run in runs]
-    kinematic = population(study).summary["agents"]
+    kinematic = population(study, seeds).summary["agents"]
     print(f"| {study.seeds} robots each | pybullet | kinematic | difference |\n|---|---|---|---|")
     for name, measure in MEASURES.items():
         one, other = (known(map(measure, robots)) for robots in (physical, kinematic))
         print(f"| {name} | {interval(one)} | {interval(other)} | {interval(other, one)} |")
 
 
-def population(study: Study) -> Run:
+def population(study: Study, seeds: range) -> Run:
     """Let the robots develop in the kinematic room, unless they did already."""
     if not (study.kinematic / "summary.json").exists():
-        env = gym.make_vec(WORLD, num_envs=study.seeds)
+        env = gym.make_vec(WORLD, num_envs=len(seeds))
         space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
         config = iac.IACConfig(meta=iac.MetaPredictor())
-        agent = iac.IAC(space, config, seeds=range(study.seeds))
+        agent = iac.IAC(space, config, seeds=seeds)
         described = {"iac": config.to_json(), "world": {"id": WORLD}}
         with Recorder(study.kinematic, agent, env.metadata["zone_names"], described) as recorder:
             train(agent, env, study.steps, recorder)

@@ -39,7 +39,7 @@ GENEALOGY = (
     "cut_value",
     "n_examples",
 )
-SUMMARY = ("progress", "mean_error", "n_examples", "lows", "highs")
+SUMMARY = ("progress", "mean_error", "n_examples")
 
 
 def write_run(

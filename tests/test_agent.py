@@ -171,7 +171,8 @@ def test_every_example_lies_in_the_region_that_routing_returns(space: Sensorimot
     summary = agent.region_summary()
     for agent_number in (0, 1):
         assert summary.n_examples[summary.agent == agent_number].sum() == 500
-    volumes = (summary.highs - summary.lows).prod(dim=1)
+    lows, highs = (bounds[leaves] for bounds in agent.tree.boxes(len(agent.space.situation)))
+    volumes = (highs - lows).prod(dim=1)
     assert volumes.sum().item() == pytest.approx(2.0, abs=1e-5)
 
 

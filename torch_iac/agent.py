@@ -79,8 +79,6 @@ class RegionSummary:
         progress: Its last learning progress.
         mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
         n_examples: How many examples it holds.
-        lows: Shape `(L, D)`, lower bounds of its box, in the unit cube.
-        highs: Shape `(L, D)`, upper bounds.
     """
 
     agent: Tensor
@@ -88,8 +86,6 @@ class RegionSummary:
     progress: Tensor
     mean_error: Tensor
     n_examples: Tensor
-    lows: Tensor
-    highs: Tensor
 
 
 @dataclass(frozen=True)
@@ -289,7 +285,7 @@ class IAC(Stateful):
         return self.tree.genealogy(self.examples.counts)
 
     def region_summary(self, n_agents: int | None = None) -> RegionSummary:
-        """Return what each present leaf knows and where it is.
+        """Return what each present leaf knows.
 
         Args:
             n_agents: Of the first so many agents; of all if not given.
@@ -298,15 +294,12 @@ class IAC(Stateful):
         if n_agents is not None:
             nodes = nodes[self.tree.agent[nodes] < n_agents]
         rows = self.tree.rows[nodes]
-        lows, highs = self.tree.boxes(len(self.space.situation))
         columns = RegionSummary(
             agent=self.tree.agent[nodes],
             region=self.tree.region[nodes],
             progress=self.history.progress[rows],
             mean_error=self.history.mean_error(rows),
             n_examples=self.examples.counts[rows],
-            lows=lows[nodes],
-            highs=highs[nodes],
         )
         return RegionSummary(**{name: column.cpu() for name, column in vars(columns).items()})
 

@@ -2,9 +2,11 @@
 
 import logging
 import platform
+import signal
 import sys
 from argparse import ArgumentParser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
@@ -20,6 +22,7 @@ from gymnasium.envs.registration import load_env_creator
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC, available_device
+from torch_iac.checkpoint import Checkpoints, identity
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.counts import check_count
@@ -41,9 +44,9 @@ from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
-from torch_iac.runs import WINDOW, Run, load_run
+from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
-from torch_iac.training import train
+from torch_iac.training import CHECKPOINT_EVERY, train
 
 WORLDS = {
     "toyroom": "torch_iac_envs/ToyRoom-v0",
@@ -92,6 +95,12 @@ SEEDS = 2**32
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
+
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+"""Signals that stop a run after the present decision."""
+
+CHECKPOINTS = "checkpoints"
+"""Where a run folder keeps them."""
 
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
 
@@ -160,10 +169,13 @@ class Train:
     bytes each on disk; otherwise those of the first robots only, and tallies of all."""
     recorded_agents: int = 64
     """How many those first robots are."""
+    checkpoint_every: int = CHECKPOINT_EVERY
+    """How many decisions lie between two checkpoints, or more where they would take over a
+    twentieth of the time."""
     iac: Annotated[Settings, Plain] = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
-        for name in ("steps", "agents", "log_every", "recorded_agents"):
+        for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
             check_count(name, getattr(self, name))
         check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
@@ -171,9 +183,13 @@ class Train:
 
     def run(self, words: Sequence[str]) -> None:
         """Carry the command out; `words` are what the user typed."""
+        out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
+        self.live(out, words)
+
+    def live(self, out: Path, words: Sequence[str], resume: bool = False) -> None:
+        """Let the robots develop in a new run folder, or go on in the one that they have."""
         if self.agents < THREADED_AGENTS:
             torch.set_num_threads(1)
-        out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
         options = _options(self.world_options)
         device = _device(self.device)
         space = self._space(options, device)
@@ -191,9 +207,17 @@ class Train:
                 self._description(words, options),
                 log_every=self.log_every,
                 n_recorded=n_recorded,
+                resume=resume,
             )
-            with recorder:
-                _live(agent, env, self.steps, recorder)
+            world = {"name": self.world, "options": options}
+            checkpoints = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+            with recorder, _stopping() as stop:
+                every = self.checkpoint_every
+                live = train(
+                    agent, env, self.steps, recorder, checkpoints, checkpoint_every=every, stop=stop
+                )
+                if not live:
+                    raise StoppedError(stop.signals[0], agent.n_decisions, out)
         finally:
             env.close()
         save_figures(out)
@@ -238,6 +262,32 @@ class Train:
 
 
 @dataclass(frozen=True)
+class Resume:
+    """Go on with a run that was stopped or killed, from its last checkpoint, bit for bit."""
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    steps: int | None = None
+    """How many decisions each robot takes in all; by default as many as when the run began."""
+
+    def run(self) -> None:
+        """Carry the command out."""
+        run = load_run(self.run_folder)
+        words = run.config.get("command")
+        if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
+            raise ValueError(f"{self.run_folder} must be a run of torch-iac train, got {words}")
+        settings = _parsed([str(word) for word in words[1:]])
+        assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
+        steps = self.steps or run.config["steps"]
+        if (self.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
+            raise ValueError(
+                f"steps must be above the {run.n_decisions} that {self.run_folder} has ended with, "
+                f"got {steps}"
+            )
+        replace(settings, steps=steps).live(self.run_folder, words, resume=True)
+
+
+@dataclass(frozen=True)
 class Figures:
     """Draw figures 2 and 3 of the paper for a run, into its folder."""
 
@@ -255,7 +305,8 @@ class Figures:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command.
 
-    An error that the user can mend is one sentence, with exit code 2; Ctrl-C exits with 130.
+    An error that the user can mend is one sentence, with exit code 2; Ctrl-C exits with 130, a
+    request to terminate with 143.
 
     Args:
         arguments: The words after `torch-iac`; those of the command line if none are given.
@@ -271,8 +322,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             command.run()
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
         _exit(2, _sentence(error))
-    except KeyboardInterrupt as interrupt:
-        _exit(130, str(interrupt) or "interrupted")
+    except StoppedError as stopped:
+        _exit(128 + stopped.signal, str(stopped))
+    except KeyboardInterrupt:
+        _exit(130, "interrupted")
 
 
 def _exit(code: int, sentence: str) -> NoReturn:
@@ -288,7 +341,7 @@ def _sentence(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def _parsed(arguments: Sequence[str]) -> Train | Figures:
+def _parsed(arguments: Sequence[str]) -> Train | Resume | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
         return tyro.cli(
@@ -298,10 +351,13 @@ def _parsed(arguments: Sequence[str]) -> Train | Figures:
             args=arguments[1:],
             config=settings,
         )
+    if arguments[:1] == ["resume"]:
+        return tyro.cli(Resume, prog="torch-iac resume", args=arguments[1:], config=settings)
     if arguments[:1] == ["figures"]:
         return tyro.cli(Figures, prog="torch-iac figures", args=arguments[1:], config=settings)
     return tyro.cli(  # says which commands there are
         Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Resume, tyro.conf.subcommand("resume")]
         | Annotated[Figures, tyro.conf.subcommand("figures")],
         prog="torch-iac",
         description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
@@ -377,15 +433,47 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
     return options
 
 
-def _live(
-    agent: IAC, env: gym.vector.VectorEnv[Any, Any, Any], n_decisions: int, recorder: Recorder
-) -> None:
-    """Train, and say where the decisions are if the user has had enough."""
+class StoppedError(Exception):
+    """A run was asked to stop, and did so after a decision."""
+
+    def __init__(self, number: int, n_decisions: int, folder: Path) -> None:
+        super().__init__(
+            f"stopped after decision {n_decisions}; go on with: torch-iac resume {folder}"
+        )
+        self.signal = number
+
+
+class _Stop:
+    """Whether the user, or the machine, has asked a run to stop.
+
+    Attributes:
+        signals: What was received.
+    """
+
+    def __init__(self) -> None:
+        self.signals: list[int] = []
+
+    def __call__(self) -> bool:
+        return bool(self.signals)
+
+    def receive(self, number: int, frame: object) -> None:
+        """Note a signal; the second Ctrl-C does not wait for the decision to end."""
+        del frame
+        if self.signals and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        self.signals.append(number)
+
+
+@contextmanager
+def _stopping() -> Iterator[_Stop]:
+    """Take Ctrl-C and a request to terminate as a wish to stop after the present decision."""
+    stop = _Stop()
+    before = {number: signal.signal(number, stop.receive) for number in STOPPING}
     try:
-        train(agent, env, n_decisions, recorder)
-    except KeyboardInterrupt:
-        place = recorder.folder
-        raise KeyboardInterrupt(f"interrupted; what was recorded is in {place}") from None
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _device(name: str) -> torch.device:

@@ -5,6 +5,7 @@ Shapes: `A` agents, `T` decisions.
 
 import io
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import HistogramProto, Summary, SummaryMetadata
 from torch.utils.tensorboard import FileWriter
 from torch.utils.tensorboard.summary import custom_scalars
@@ -21,6 +23,9 @@ from torch_iac.agent import RegionSummary
 from torch_iac.regions import NONE, Genealogy
 from torch_iac.runs import by_decile, shadow_error
 from torch_iac.tallies import Tally
+
+EVENTS = "events.out.tfevents.*"
+"""What TensorBoard's files are called."""
 
 N_REGIONS_SHOWN = 200
 """TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
@@ -99,6 +104,7 @@ class Dashboard:
         self._undescribed = DESCRIPTIONS | {
             f"error/{name}": f"Mean prediction error of the shadow {name}." for name in shadows
         }
+        self._folder, self._older = folder, set(folder.glob(EVENTS))
         self._writer = FileWriter(str(folder))
         layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
         self._writer.add_summary(layout)
@@ -143,6 +149,40 @@ class Dashboard:
     def flush(self) -> None:
         """Write what the writer still keeps."""
         self._writer.flush()
+
+    def state(self) -> dict[str, Any]:
+        """Return all that goes on, and how far the files on disk go."""
+        self.flush()
+        tally = self._tally
+        return {
+            "tally": None if tally is None else [tally.counts, tally.sums],
+            "calibration": self._calibration.state(),
+            "map": self._map.state(),
+            "n_logs": self._n_logs,
+            "files": {path.name: path.stat().st_size for path in self._folder.glob(EVENTS)},
+        }
+
+    def load_state(self, state: Mapping[str, Any] | None, n_decisions: int) -> None:
+        """Go on from what `state` returned, or from nothing; what was logged later is dropped.
+
+        Args:
+            state: What `state` returned; None to start anew.
+            n_decisions: How many decisions had been taken then.
+        """
+        files = state["files"] if state else {}
+        for path in self._older:
+            if path.name not in files:
+                path.unlink()
+            elif path.stat().st_size > files[path.name]:
+                os.truncate(path, files[path.name])
+        if self._older:  # a TensorBoard that looks on forgets what was logged later, too
+            restart = SessionLog(status=SessionLog.START)
+            self._writer.add_event(Event(session_log=restart), step=n_decisions + 1)
+        if state:
+            self._tally = Tally(*state["tally"]) if state["tally"] else None
+            self._calibration.load_state(state["calibration"])
+            self._map.load_state(state["map"])
+            self._n_logs = state["n_logs"]
 
     def close(self) -> None:
         """Write the rest; nothing can be logged any more."""
@@ -194,6 +234,14 @@ class _Calibration:
         # Copies, since the columns are reused.
         self._expected, self._actual = expected.copy(), actual.copy()
 
+    def state(self) -> list[NDArray[Any]]:
+        """Return what is kept."""
+        return [self._expected, self._actual]
+
+    def load_state(self, state: list[NDArray[Any]]) -> None:
+        """Go on from what `state` returned."""
+        self._expected, self._actual = state
+
     def draw(self) -> Summary.Image:
         """Return a picture of the mean error by decile of the expectation."""
         return _decile_picture(np.stack(by_decile(self._expected, self._actual)))
@@ -244,6 +292,25 @@ class _ProgressMap:
         self._n_added += 1
         if len(self._moments) == MAP_COLUMNS:
             self._moments, self._stride = self._moments[::2], self._stride * 2
+
+    def state(self) -> dict[str, Any]:
+        """Return the moments that are kept, one after the other, and how they are chosen."""
+        lengths = [len(regions) for regions, _ in self._moments]
+        regions, progress = ([moment[i] for moment in self._moments] for i in (0, 1))
+        return {
+            "lengths": np.array(lengths, np.int64),
+            "regions": np.concatenate([np.empty(0, np.int64), *regions]),
+            "progress": np.concatenate([np.empty(0), *progress]),
+            "stride": self._stride,
+            "n_added": self._n_added,
+        }
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` returned."""
+        ends = state["lengths"].cumsum()[:-1]
+        columns = (np.split(state[name], ends) for name in ("regions", "progress"))
+        self._moments = list(zip(*columns, strict=True)) if len(state["lengths"]) else []
+        self._stride, self._n_added = state["stride"], state["n_added"]
 
     def draw(self, genealogy: Genealogy) -> Summary.Image:
         """Return the map as it is now; before a region was born, its row shows its ancestors."""

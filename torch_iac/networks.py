@@ -3,6 +3,7 @@
 Shapes: `L` networks (rows), `P` weights of one of them, `M` minibatches, `B` examples in each.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

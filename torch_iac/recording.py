@@ -102,6 +102,9 @@ class Recorder:
     TensorBoard shows aggregates over all agents, what there is to tell of regions over the first
     `N_SHOWN` and, region by region, agent 0.
 
+    A run that was interrupted goes on with `resume=True` and `load_state`; the parts on disk that
+    lie ahead are the same that will be written, and stay until they are.
+
     A step is copied when it is recorded, on the device where it is; with a GPU, nothing comes from
     there before a log or a part is due.
 
@@ -114,9 +117,10 @@ class Recorder:
         log_every: How many decisions lie between two logs to TensorBoard.
         rows_per_part: At most so many rows (a decision of an agent) are kept in memory.
         n_recorded: Of how many agents, the first, every decision is recorded; of all by default.
+        resume: Whether the folder holds this run already, begun before.
 
     Raises:
-        FileExistsError: The folder already holds a run; it is not touched.
+        FileExistsError: The folder already holds a run, and it is not to be resumed.
         NotADirectoryError: The folder is a file, or would lie in one.
         ValueError: `log_every` or `rows_per_part` is below 1, `n_recorded` is not in [1, A], or a
             shadow has a name of `RESERVED`.
@@ -132,6 +136,7 @@ class Recorder:
         log_every: int = 100,
         rows_per_part: int = ROWS_PER_PART,
         n_recorded: int | None = None,
+        resume: bool = False,
     ) -> None:
         for name, value in (("log_every", log_every), ("rows_per_part", rows_per_part)):
             if value < 1:
@@ -145,7 +150,7 @@ class Recorder:
             if name in RESERVED:
                 raise ValueError(f"shadows must not be called {', '.join(RESERVED)}, got {name}")
         self.folder = Path(folder)
-        _claim(self.folder)
+        _claim(self.folder, resume)
         known = {
             "space": agent.space.to_json(),
             "seeds": agent.seeds,
@@ -170,6 +175,35 @@ class Recorder:
         self._n_parts = self._n_told = 0
         self._dashboard = Dashboard(self.folder, min(N_SHOWN, n_agents), self._zone_names, shadows)
         self._started = time.perf_counter()
+
+    def state(self) -> dict[str, Any]:
+        """Return all that goes on, what is not yet on disk included, as `packing` can pack it."""
+        return {
+            "n_parts": self._n_parts,
+            "n_told": self._n_told,
+            "first_decision": self._first_decision,
+            "seconds": time.perf_counter() - self._started,
+            "rows": self._rows.state(),
+            "tally": self._tally.state(),
+            "windows": [[start, of.counts, of.sums] for start, of in self._windows.items()],
+            "dashboard": self._dashboard.state(),
+        }
+
+    def load_state(self, state: Mapping[str, Any] | None, n_decisions: int) -> None:
+        """Go on from what `state` returned, or from the beginning.
+
+        Args:
+            state: What `state` returned; None to start anew.
+            n_decisions: How many decisions had been taken then.
+        """
+        self._dashboard.load_state(state["dashboard"] if state else None, n_decisions)
+        if state:
+            self._n_parts, self._n_told = state["n_parts"], state["n_told"]
+            self._first_decision = state["first_decision"]
+            self._started -= state["seconds"]
+            self._rows.load_state(state["rows"])
+            self._tally.load_state(state["tally"])
+            self._windows = {start: Tally(*of) for start, *of in state["windows"]}
 
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
         """Keep one decision of every agent.
@@ -388,6 +422,22 @@ class _Rows:
         """Start anew."""
         self.count = 0
 
+    def state(self) -> dict[str, Any]:
+        """Return what is kept."""
+        kept = slice(self.count)
+        return {
+            "last_decision": self.last_decision,
+            "decisions": self._decisions[kept].copy(),
+            "blocks": {field: block[kept].clone() for field, block in self._blocks.items()},
+        }
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` returned."""
+        self.last_decision, self.count = state["last_decision"], len(state["decisions"])
+        self._decisions[: self.count] = state["decisions"]
+        for field, block in self._blocks.items():
+            block[: self.count] = state["blocks"][field]
+
     def table(self) -> pa.Table:
         """Return what is kept, by step, then agent; it is good until the next change."""
         n_agents, kept = len(self._seeds), slice(self.count)
@@ -437,17 +487,18 @@ def _shadow_names(space: SensorimotorSpace, shadows: Sequence[str]) -> dict[str,
     return names
 
 
-def _claim(folder: Path) -> None:
-    """Make a folder ready for a run, unless it already holds one."""
+def _claim(folder: Path, resume: bool) -> None:
+    """Make a folder ready for a run, unless it already holds another one."""
     files = [path for path in (folder, *folder.parents) if path.is_file()]
     if files:
         raise NotADirectoryError(f"{folder} cannot be a run folder: {files[0]} is a file")
     held = any((folder / name).exists() for name in (CONFIG, REGIONS, SUMMARY))
     held = held or any(folder.glob("events.out.tfevents.*"))
-    if held or (folder / STEPS).exists():
-        raise FileExistsError(f"{folder} already holds a run; choose another folder")
+    if (held or (folder / STEPS).exists()) and not resume:
+        raise FileExistsError(f"{folder} already holds a run; resume it or choose another folder")
+    (folder / SUMMARY).unlink(missing_ok=True)  # it says that a run has ended
     for kind in (STEPS, WINDOWS):
-        (folder / kind).mkdir(parents=True)
+        (folder / kind).mkdir(parents=True, exist_ok=resume)
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -3,7 +3,6 @@
 Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from torch_iac.files import parse_json
 from torch_iac.space import SensorimotorSpace
 from torch_iac.tallies import Tally, tally_columns
 
@@ -489,7 +489,9 @@ def _read_part(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_bytes())
     except ValueError as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} must hold names and values, got {str(content)[:80]}")
     return content

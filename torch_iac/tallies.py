@@ -88,6 +88,14 @@ class RunningTally:
         self._sums.zero_()
         return taken
 
+    def state(self) -> Tensor:
+        """Return what was counted in since the last time, to go on from it."""
+        return self._sums.clone()
+
+    def load_state(self, state: Tensor) -> None:
+        """Go on from what `state` returned."""
+        self._sums.copy_(state)
+
     def _move(self, device: torch.device) -> None:
         self._first_cells, self._sums, self._ones = (
             of.to(device) for of in (self._first_cells, self._sums, self._ones)

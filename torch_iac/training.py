@@ -2,63 +2,210 @@
 
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from torch import Tensor
 from tqdm import tqdm
 
 from torch_iac.agent import IAC
+from torch_iac.checkpoint import Checkpoint, Checkpoints
 from torch_iac.recording import Recorder
+
+World = gym.vector.VectorEnv[Any, Any, Any]
 
 SECONDS_BETWEEN_LINES = 10.0
 """How often the log speaks of the run where there is no terminal for a progress bar."""
+
+CHECKPOINT_EVERY = 1000
+"""How many decisions lie between two checkpoints, if nobody says otherwise."""
+
+SHARE_FOR_CHECKPOINTS = 0.05
+"""At most this share of the time goes into checkpoints; one that would take more waits."""
+
+STATE = "full_state"
+"""The attribute by which a single world is saved and goes on exactly; it can be read and set."""
 
 log = logging.getLogger(__name__)
 
 
 def train(
     agent: IAC,
-    env: gym.vector.VectorEnv[Any, Any, Any],
+    env: World,
     n_decisions: int,
     recorder: Recorder | None = None,
-) -> None:
+    checkpoints: Checkpoints | None = None,
+    *,
+    checkpoint_every: int = CHECKPOINT_EVERY,
+    stop: Callable[[], bool] = lambda: False,
+) -> bool:
     """Let a population live in its world, one world an agent.
 
-    The worlds start from the agents' seeds.
+    The worlds start from the agents' seeds; if there is a checkpoint, everything goes on from it,
+    bit for bit. Where episodes end, the outcome of the last decision is what the world showed
+    before it started again.
 
     Args:
         agent: The population.
         env: As many worlds as there are agents.
-        n_decisions: How many decisions each agent takes.
+        n_decisions: How many decisions each agent takes, with those taken before.
         recorder: Keeps what happened; None keeps nothing.
+        checkpoints: Where to go on from, and where to save; None saves nothing.
+        checkpoint_every: How many decisions lie between two checkpoints, or more where they would
+            take over a twentieth of the time.
+        stop: Asked after each decision whether to save and stop.
+
+    Returns:
+        Whether all decisions were taken.
 
     Raises:
-        ValueError: The number of worlds is not that of the agents, or there are no decisions.
+        ValueError: The number of worlds is not that of the agents, there are no decisions left to
+            take, the world cannot be saved, a checkpoint does not fit, or a world whose episodes
+            end was not made with `AutoresetMode.SAME_STEP`.
     """
     if env.num_envs != agent.n_agents:
         raise ValueError(
             f"env must have as many worlds as there are agents ({agent.n_agents}), "
             f"got {env.num_envs}"
         )
-    if n_decisions < 1:
-        raise ValueError(f"n_decisions must be at least 1, got {n_decisions}")
-    sensors, _ = env.reset(seed=list(agent.seeds))  # type: ignore[arg-type]  # a list is fine
-    for _ in _counted(n_decisions):
-        sensors, _, _, _, info = env.step(agent.act(sensors))
-        step = agent.observe(sensors)
+    for name, value in (("n_decisions", n_decisions), ("checkpoint_every", checkpoint_every)):
+        if value < 1:
+            raise ValueError(f"{name} must be at least 1, got {value}")
+    sensors = _begin(agent, env, recorder, checkpoints)
+    if n_decisions <= agent.n_decisions:
+        raise ValueError(
+            f"n_decisions must be above those already taken ({agent.n_decisions}), "
+            f"got {n_decisions}"
+        )
+    saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
+    for _ in _counted(agent.n_decisions, n_decisions):
+        sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
+        step = agent.observe(_outcome(env, sensors, terminated | truncated, info))
         if recorder is not None:
             recorder.record(step, info.get("zone"))
+        is_over = stop()
+        is_due = agent.n_decisions % checkpoint_every == 0 and saver and saver.is_affordable
+        if saver and (is_over or is_due or agent.n_decisions == n_decisions):
+            saver.save(sensors)
+        if is_over:
+            break
+    return agent.n_decisions == n_decisions
 
 
-def _counted(n_decisions: int) -> Iterator[int]:
+def can_be_saved(env: World) -> bool:
+    """Return whether a world can be saved: it was reset and has `get_state`, or its parts a state.
+
+    A vector of worlds can have `get_state()` and `set_state(state)` itself; otherwise each of its
+    worlds needs an attribute `full_state` that can be read and set.
+    """
+    try:
+        _world_state(env)
+    except AttributeError:
+        return False
+    return True
+
+
+def _begin(
+    agent: IAC, env: World, recorder: Recorder | None, checkpoints: Checkpoints | None
+) -> Any:
+    """Return the sensors from which the next decision is taken."""
+    sensors, _ = env.reset(seed=list(agent.seeds))  # type: ignore[arg-type]  # a list is fine
+    if checkpoints is None:
+        return sensors
+    if not can_be_saved(env):
+        raise ValueError(
+            f"a world must have get_state and set_state, or worlds with {STATE}, to be saved, "
+            f"got {env.unwrapped}"
+        )
+    try:
+        checkpoint = checkpoints.read()
+    except FileNotFoundError:
+        if recorder is not None:
+            recorder.load_state(None, 0)
+        return sensors
+    agent.load_state(checkpoint.agent)
+    _set_world_state(env, checkpoint.world)
+    if recorder is not None:
+        recorder.load_state(checkpoint.loop["recorder"], checkpoint.n_decisions)
+    saved = checkpoint.loop["sensors"]
+    return saved.to(agent.device) if isinstance(saved, Tensor) else saved
+
+
+class _Saver:
+    """Saves a run now and then."""
+
+    def __init__(
+        self, agent: IAC, env: World, recorder: Recorder | None, checkpoints: Checkpoints
+    ) -> None:
+        self._agent, self._env = agent, env
+        self._recorder, self._checkpoints = recorder, checkpoints
+        self._took, self._ended = 0.0, time.monotonic()
+
+    @property
+    def is_affordable(self) -> bool:
+        """Whether another checkpoint keeps to its share of the time."""
+        return self._took <= SHARE_FOR_CHECKPOINTS * (time.monotonic() - self._ended)
+
+    def save(self, sensors: Any) -> None:
+        """Save all; the next decision will be taken from these sensors."""
+        started = time.monotonic()
+        recorder = self._recorder.state() if self._recorder else None
+        self._checkpoints.write(
+            Checkpoint(
+                self._agent.n_decisions,
+                self._agent.state(),
+                _world_state(self._env),
+                {"sensors": sensors, "recorder": recorder},
+            )
+        )
+        self._ended = time.monotonic()
+        self._took = self._ended - started
+
+
+def _world_state(env: World) -> Any:
+    whole = getattr(env.unwrapped, "get_state", None)
+    return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
+
+
+def _set_world_state(env: World, state: Any) -> None:
+    whole = getattr(env.unwrapped, "set_state", None)
+    if whole:
+        whole(state)
+    else:
+        env.set_attr(STATE, state)  # type: ignore[attr-defined]
+
+
+def _outcome(
+    env: World, sensors: Any, is_over: NDArray[np.bool_] | Tensor, info: dict[str, Any]
+) -> Any:
+    """Return what the sensors read after the action, in worlds that then began anew too."""
+    mode = env.metadata.get("autoreset_mode")
+    if mode == AutoresetMode.DISABLED or not is_over.any():
+        return sensors
+    if mode != AutoresetMode.SAME_STEP:
+        raise ValueError(
+            f"a world whose episodes end must be made with autoreset_mode SAME_STEP, got {mode}"
+        )
+    outcome = sensors.copy()
+    for world in np.flatnonzero(is_over):
+        outcome[world] = info["final_obs"][world]
+    return outcome
+
+
+def _counted(taken: int, n_decisions: int) -> Iterator[int]:
     """Count decisions, with a progress bar on a terminal and a line in the log now and then."""
     started = spoken = time.monotonic()
-    bar = tqdm(range(n_decisions), unit="decision", disable=None)
+    bar = tqdm(
+        range(taken, n_decisions), unit="decision", initial=taken, total=n_decisions, disable=None
+    )
     for number in bar:
         yield number
         now = time.monotonic()
         if bar.disable and now - spoken >= SECONDS_BETWEEN_LINES:
             spoken = now
-            rate = (number + 1) / (now - started)
-            log.info("%d of %d decisions, %.0f a second", number + 1, n_decisions, rate)
+            rate = (number + 1 - taken) / (now - started)
+            log.info("%d of %d decisions, %.3g a second", number + 1, n_decisions, rate)

@@ -192,6 +192,15 @@ class ToyRoom(gym.Env[Observation, Action]):
         self._check_reached(state["present"])
         self.np_random = unpack_random(state["random"])
 
+    @property
+    def full_state(self) -> State:
+        """What `get_state` returns; setting it is `set_state`. A vector of worlds can reach it."""
+        return self.get_state()
+
+    @full_state.setter
+    def full_state(self, state: State) -> None:
+        self.set_state(state)
+
     def _check_started(self, what: str) -> None:
         if self._keyframe is None:
             raise RuntimeError(f"reset must be called before {what}")
