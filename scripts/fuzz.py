@@ -121,11 +121,14 @@ def command(seed: int, number: int, is_lived: bool) -> list[str]:
     known = options(parts)
     words = [*parts, *(["--no-mp"] if rng.random() < 0.1 else [])]
     if is_lived:
-        words += ["--steps", str(rng.choice([1, 2, 7, 40])), "--world", rng.choice(WORLDS)]
+        world = rng.choice(WORLDS)
+        words += ["--steps", str(rng.choice([1, 2, 7, 40])), "--world", world]
+        if rng.random() < 0.2:
+            words += ["--world-options", _world_option(rng, world)]
         words += rng.choice([[], ["--agents", rng.choice(["1", "2", "3"])]])
         if rng.random() < 0.3:  # regions split
             words += ["--max-examples", rng.choice(["2", "3", "8"])]
-    share = rng.choice([1.0, 0.9, 0.5])  # of good values
+    share = rng.choice([1.0, 0.9, 0.5, 0.0])  # of good values
     for _ in range(rng.choice([0, 1, 1, 2, 3, MOST_WORDS])):
         words += _word(rng, known, share)
     if rng.random() < 0.02 and words:
@@ -201,7 +204,7 @@ def _word(rng: random.Random, known: dict[str, str], share: float) -> Iterator[s
         return
     makers: dict[str, Callable[[], str]] = {
         "out": lambda: rng.choice(PLACES),
-        "world-options": lambda: _world_option(rng),
+        "world-options": lambda: _world_option(rng, rng.choice(WORLDS)),
     }
     make = makers.get(name, lambda: _value(rng, kind, share))
     n_values = rng.choice([0, 1, 1, 2, 3]) if kind.startswith("[") else int(rng.random() < 0.98)
@@ -221,9 +224,8 @@ def _value(rng: random.Random, kind: str, share: float) -> str:
     return rng.choice(rng.choice([EDGE, HUGE, WRONG, STRANGE, REAL]))
 
 
-def _world_option(rng: random.Random) -> str:
-    known = world_options(rng.choice(WORLDS))
-    name = rng.choice([*known] * 5 + ["device", "num_envs", "smell", ""])
+def _world_option(rng: random.Random, world: str) -> str:
+    name = rng.choice([*world_options(world)] * 5 + ["device", "num_envs", "smell", ""])
     value = rng.choice([*JSON, *WHOLE, *HUGE, *STRANGE, "human", "rgb_array"])
     return rng.choice([f"{name}={value}"] * 8 + [name, f"{name}==", value])
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
 from inspect import signature
-from json import JSONDecodeError, loads
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -87,7 +87,13 @@ DriveName = Literal[
     "random",
 ]
 
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+KINDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    str | None: "a text or null",
+}
 """What an argument of a world may be, in words."""
 
 SEEDS = 2**32
@@ -314,8 +320,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        with plain_refusals():
-            command = _parsed(arguments)
+        command = _parsed(arguments)
         if isinstance(command, Train):
             command.run(["torch-iac", *arguments])
         else:
@@ -341,6 +346,7 @@ def _sentence(error: Exception) -> str:
     return " ".join(text.split())
 
 
+@plain_refusals()
 def _parsed(arguments: Sequence[str]) -> Train | Resume | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
@@ -402,7 +408,7 @@ def _make_world(
             raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
         kind = parameters[option].annotation
         if kind in KINDS and not _is_a(kind, value):
-            raise ValueError(f"{option} must be {KINDS[kind]}, got {value}")
+            raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
     try:
         if is_batched:
             # Actions are in their bounds; the check would make a GPU wait at every decision.
@@ -413,7 +419,7 @@ def _make_world(
         raise ValueError(str(error)) from error
 
 
-def _is_a(kind: type, value: object) -> bool:
+def _is_a(kind: Any, value: object) -> bool:
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)
@@ -428,7 +434,7 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
             raise ValueError(f"world options must be written name=value, got {pair}")
         try:
             options[name.replace("-", "_")] = loads(value)
-        except JSONDecodeError:
+        except (ValueError, RecursionError):  # not JSON, or more than Python reads of it
             options[name.replace("-", "_")] = value
     return options
 

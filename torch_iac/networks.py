@@ -33,8 +33,8 @@ ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.
 """Layers that do the same to every number, whatever the shape around it."""
 
 
-MOST_RATE = 1000.0
-"""Step sizes above this reach, in a few steps, what float32 cannot hold."""
+MOST_RATE = 1e38
+"""Float32 holds no larger step size."""
 
 TINY = 1e-18
 """Added to gradients, far below what changes anything: the optimiser's memory of a unit that has
