@@ -270,7 +270,7 @@ def _limit(seconds: int) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.alarm(seconds)
-    faulthandler.dump_traceback_later(2 * seconds, exit=True, file=sys.__stderr__)
+    faulthandler.dump_traceback_later(2 * seconds, exit=True, file=2)
     try:
         yield
     finally:

@@ -181,7 +181,7 @@ def test_where_nothing_can_be_cut_regions_forget_instead_of_growing(tmp_path: Pa
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.uint8, np.int64])
 def test_sensors_may_be_numbers_of_any_kind(tmp_path: Path, dtype: type) -> None:
-    box = spaces.Box(0, 200, (3,), dtype)  # type: ignore[arg-type]
+    box = spaces.Box(0, 200, (3,), dtype)
     config = IACConfig(**vars(CONFIG) | {"meta": MetaPredictor(memory=20)})
     agent = live(tmp_path, lambda: Bent(observation_space=box), config=config, n_decisions=100)
     assert agent.space.sensors[0].high == 200.0

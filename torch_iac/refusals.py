@@ -41,5 +41,5 @@ def sentence_in(box: str) -> str:
             text += f"; {other[0].lower()}{other[1:]}"
         if other.startswith("Perhaps you meant: "):
             text += f"; perhaps you meant {', '.join(OPTION.findall(other)[:3])}"
-    helps = HELP.findall(others[-1]) if others else []
+    helps = HELP.findall(" ".join(others))
     return f"{text} (see {helps[-1]})" if helps else text
