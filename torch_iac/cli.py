@@ -224,6 +224,8 @@ class Train:
                 )
                 if not live:
                     raise StoppedError(stop.signals[0], agent.n_decisions, out)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; go on with: torch-iac resume {out}") from None
         finally:
             env.close()
         save_figures(out)
@@ -329,8 +331,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _exit(2, _sentence(error))
     except StoppedError as stopped:
         _exit(128 + stopped.signal, str(stopped))
-    except KeyboardInterrupt:
-        _exit(130, "interrupted")
+    except KeyboardInterrupt as interrupt:
+        _exit(130, str(interrupt) or "interrupted")
 
 
 def _exit(code: int, sentence: str) -> NoReturn:
@@ -463,9 +465,9 @@ class _Stop:
         return bool(self.signals)
 
     def receive(self, number: int, frame: object) -> None:
-        """Note a signal; the second Ctrl-C does not wait for the decision to end."""
+        """Note a signal; the second does not wait for the decision to end."""
         del frame
-        if self.signals and number == signal.SIGINT:
+        if self.signals:
             raise KeyboardInterrupt
         self.signals.append(number)
 
