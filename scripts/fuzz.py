@@ -128,7 +128,7 @@ def command(seed: int, number: int, is_lived: bool) -> list[str]:
         words += rng.choice([[], ["--agents", rng.choice(["1", "2", "3"])]])
         if rng.random() < 0.3:  # regions split
             words += ["--max-examples", rng.choice(["2", "3", "8"])]
-    share = rng.choice([1.0, 0.9, 0.5, 0.0])  # of good values
+    share = rng.choice([1.0, 1.0, 0.95, 0.5, 0.0])  # of good values
     for _ in range(rng.choice([0, 1, 1, 2, 3, MOST_WORDS])):
         words += _word(rng, known, share)
     if rng.random() < 0.02 and words:

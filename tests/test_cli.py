@@ -377,6 +377,10 @@ BAD_VALUES = [
     ("--world-options render_mode=[1]", "render_mode must be a text or null, got [1]"),
     (f"--world-options beams={'[' * 9999}", f"beams must be a whole number, got {'[' * 80}"),
     (f"--world-options beams={'9' * 5000}", f"beams must be a whole number, got {'9' * 80}"),
+    (
+        f"--delay {'9' * 400}",
+        "delay must be at most 1,000,000,000,000, got a number of 400 digits",
+    ),
     (f"--k {10**30}", f"k must be at most 1,000,000,000,000, got {10**30}"),
     (
         "--drive curriculum --stages.1.dimension smell",
@@ -417,7 +421,6 @@ BAD_OPTIONS = [
     ("--recorded-agents 0", "recorded_agents must be at least 1, got 0"),
     ("--recorded-rows -1", "recorded_rows must be at least 0, got -1"),
     ("--meta.memory 0", "meta: memory must be at least 1, got 0"),
-    (f"--delay {'9' * 400}", "must be at most 1,000,000,000,000, got a number of 400 digits"),
     ("--seed -1", "seed must lie in [0, 4294967296), got -1"),
 ]
 

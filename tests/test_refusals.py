@@ -25,8 +25,16 @@ BOX = """\
 SENTENCE = "Unrecognized options: --step, 3; perhaps you meant --steps (see torch-iac train --help)"
 
 
-def test_the_sentence_says_what_is_wrong_what_is_there_and_where_to_look() -> None:
-    assert sentence_in(BOX) == SENTENCE
+@pytest.mark.parametrize("kind", ["utf-8", "ascii", "coloured"])
+def test_the_sentence_says_what_is_wrong_what_is_there_and_where_to_look(kind: str) -> None:
+    box = BOX
+    if kind == "ascii":
+        title, *lines, _ = (re.sub("[│╭╮╰╯]", " ", line) for line in BOX.splitlines())
+        lines = [title.replace("─", " "), " " + "-" * 38, *lines]
+        box = "\n".join(line.replace("─", "-") for line in lines)
+    if kind == "coloured":
+        box = BOX.replace("│", "\x1b[31m│\x1b[0m").replace("--step,", "\x1b[1m--step,\x1b[0m")
+    assert sentence_in(box) == SENTENCE
 
 
 @plain_refusals()

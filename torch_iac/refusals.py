@@ -6,7 +6,8 @@ import re
 import sys
 from collections.abc import Iterator
 
-RULE = re.compile(r"─{3,}")
+RULE = re.compile(r"^ *(?:─{5,}|-{5,}) *$", re.MULTILINE)
+"""Where stdout is not UTF-8, a box is drawn in ASCII: rules of hyphens, and no sides."""
 NOT_TEXT = re.compile(r"\x1b\[[\d;]*m|[│╭╮╰╯]")
 OPTION = re.compile(r"--(?!help)[a-z][\w.-]*")
 PART = re.compile(r"^Error parsing (?:[A-Z]\w*: |iac\.)")
@@ -33,8 +34,9 @@ def sentence_in(box: str) -> str:
     Args:
         box: Title, parts with rules between them, the last of which says where to find help.
     """
-    _, _, inside = box.partition("\n")
-    first, *others = (" ".join(part.split()) for part in RULE.split(NOT_TEXT.sub("", inside)))
+    _, _, inside = NOT_TEXT.sub("", box).partition("\n")
+    parts = (" ".join(part.split()) for part in RULE.split(inside))
+    first, *others = (part for part in parts if part)
     text = PART.sub("", first).rstrip(".")
     for other in others:
         if other.startswith("Available subcommands: "):
