@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
 from inspect import signature
-from json import JSONDecodeError, loads
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -25,6 +25,7 @@ from torch_iac.agent import IAC, available_device
 from torch_iac.checkpoint import Checkpoints, identity
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
+from torch_iac.counts import check_count
 from torch_iac.drives import (
     AbsoluteProgress,
     Curriculum,
@@ -42,6 +43,7 @@ from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
+from torch_iac.refusals import plain_refusals
 from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import CHECKPOINT_EVERY, World, train
@@ -85,7 +87,13 @@ DriveName = Literal[
     "random",
 ]
 
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+KINDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    str | None: "a text or null",
+}
 """What an argument of a world may be, in words."""
 
 SEEDS = 2**32
@@ -174,10 +182,8 @@ class Train:
 
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.recorded_rows < 0:
-            raise ValueError(f"recorded_rows must be at least 0, got {self.recorded_rows}")
+            check_count(name, getattr(self, name))
+        check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
@@ -343,12 +349,14 @@ def _exit(code: int, sentence: str) -> NoReturn:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what an error says, without the number that the operating system gave it."""
+    """Return what an error says, in one line, without the number of the operating system."""
+    text = str(error)
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(text.split())
 
 
+@plain_refusals()
 def _parsed(arguments: Sequence[str]) -> Train | Resume | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
@@ -410,7 +418,7 @@ def _make_world(
             raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
         kind = parameters[option].annotation
         if kind in KINDS and not _is_a(kind, value):
-            raise ValueError(f"{option} must be {KINDS[kind]}, got {value}")
+            raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
     try:
         if is_batched:
             # Actions are in their bounds; the check would make a GPU wait at every decision.
@@ -421,7 +429,7 @@ def _make_world(
         raise ValueError(str(error)) from error
 
 
-def _is_a(kind: type, value: object) -> bool:
+def _is_a(kind: Any, value: object) -> bool:
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)
@@ -436,7 +444,7 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
             raise ValueError(f"world options must be written name=value, got {pair}")
         try:
             options[name.replace("-", "_")] = loads(value)
-        except JSONDecodeError:
+        except (ValueError, RecursionError):  # not JSON, or more than Python reads of it
             options[name.replace("-", "_")] = value
     return options
 
