@@ -374,6 +374,10 @@ BAD_VALUES = [
     ("--world-options beams=1000000000", "beams must be at most 10000, got 1000000000"),
     ("--world-options substeps=1000000000", "substeps must be at most 1000, got 1000000000"),
     ("--world-options sensor_noise=1e300", "sensor_noise must be at most 1000.0, got 1e+300"),
+    (
+        "--world-options render_mode=sketch",
+        "render_mode must be one of (None, 'rgb_array', 'human'), got 'sketch'",
+    ),
     ("--world-options render_mode=[1]", "render_mode must be a text or null, got [1]"),
     (f"--world-options beams={'[' * 9999}", f"beams must be a whole number, got {'[' * 80}"),
     (f"--world-options beams={'9' * 5000}", f"beams must be a whole number, got {'9' * 80}"),

@@ -14,6 +14,7 @@ from inspect import signature
 from json import loads
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
+from warnings import catch_warnings
 
 import gymnasium as gym
 import torch
@@ -419,12 +420,13 @@ def _make_world(
         kind = parameters[option].annotation
         if kind in KINDS and not _is_a(kind, value):
             raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
+    if is_batched:
+        # Actions are in their bounds; the check would make a GPU wait at every decision.
+        options = {"device": device, "check_actions": False, **options}
+    way = "vector_entry_point" if is_batched else "sync"
     try:
-        if is_batched:
-            # Actions are in their bounds; the check would make a GPU wait at every decision.
-            given = {"device": device, "check_actions": False, **options}
-            return gym.make_vec(spec.id, n_worlds, "vector_entry_point", **given)
-        return gym.make_vec(spec.id, n_worlds, "sync", **options)
+        with catch_warnings(action="ignore"):  # worlds refuse by themselves what is warned of
+            return gym.make_vec(spec.id, n_worlds, way, **options)
     except RuntimeError as error:  # such as a window where there is no display
         raise ValueError(str(error)) from error
 
