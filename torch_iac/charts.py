@@ -198,8 +198,7 @@ def _draw_points(panel: Axes, pairs: Sequence[str], found: Mapping[str, Estimate
     panel.set_yticks(range(len(pairs)), pairs)
     panel.set_ylim(len(pairs) - 0.5, -0.5)
     panel.set_xlim(0, 1)
-    panel.set_xticks([0, 0.5, 1])
-    panel.xaxis.set_major_formatter(PercentFormatter(1.0))
+    panel.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
 
 
 def _legend(figure: Figure, variants: Sequence[str] | Mapping[str, Any]) -> None:

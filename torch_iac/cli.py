@@ -423,12 +423,12 @@ def _silently_parsed(arguments: Sequence[str]) -> Train:
     try:
         with redirect_stdout(said), redirect_stderr(said):
             settings = _parsed(arguments)
-    except SystemExit:
-        lines = [line.strip() for line in said.getvalue().splitlines()]
-        ends = [number for number, line in enumerate(lines) if line and not line.strip("-")]
-        if len(ends) < 2:  # as many rules as a refusal has; this is a help
+    except SystemExit as end:
+        if not end.code:
             raise ValueError("words must be options of torch-iac train, got --help") from None
-        sentence = " ".join(lines[ends[0] + 1 : ends[1]])
+        lines = [line.strip() for line in said.getvalue().splitlines()]
+        rules = [number for number, line in enumerate(lines) if line and not line.strip("-")]
+        sentence = " ".join(lines[rules[0] + 1 : rules[1]])  # the title is above, a hint below
         raise ValueError(sentence.removeprefix("Error parsing Train: ")) from None
     assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
     return settings

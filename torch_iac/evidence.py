@@ -27,12 +27,14 @@ class Measure:
 
     Attributes:
         name: Its column.
-        label: What it is, in words.
+        title: What it is, in a few words.
+        label: What it is exactly.
         better: Which values are better; None if neither.
         path: Where a summary has it, under each robot.
     """
 
     name: str
+    title: str
     label: str
     better: Better | None
     path: tuple[str, ...]
@@ -70,22 +72,51 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
     zones = _names(run.zone_names for run in runs)
     shadows = _names(run.shadow_names for run in runs)
     late, settled = f"in the last {SETTLING:,} decisions", f"after the first {SETTLING:,} decisions"
-    found = [Measure("error", f"error {late}", "lower", ("errors", MAIN, "mean"))]
-    for zone in zones:
-        label, place = f"error in {zone} {late}", ("late_zone_errors", zone)
-        found.append(Measure(f"error/{zone}", label, "lower", place))
-    for name in shadows:
-        label, within = f"error of shadow {name} {late}", ("errors", name, "mean")
-        found.append(Measure(f"shadow/{name}/error", label, "lower", within))
-    for zone in zones:
-        label, place = f"share of time in {zone} {settled}", ("settled_zone_shares", zone)
-        found.append(Measure(f"share/{zone}", label, BETTER_SHARES.get(zone), place))
-    for zone in FOCUS_SHARES:
-        if zone in zones:
-            label = f"first decision of the focus on {zone}"
-            found.append(Measure(f"focus/{zone}", label, "lower", ("focus", zone)))
-    found.append(Measure("n_regions", "number of regions", None, ("n_regions",)))
-    return found
+    return [
+        Measure("error", "error", f"error {late}", "lower", ("errors", MAIN, "mean")),
+        *(
+            Measure(
+                f"error/{zone}",
+                title := f"error in {zone}",
+                f"{title} {late}",
+                "lower",
+                ("late_zone_errors", zone),
+            )
+            for zone in zones
+        ),
+        *(
+            Measure(
+                f"shadow/{name}/error",
+                title := f"error of shadow {name}",
+                f"{title} {late}",
+                "lower",
+                ("errors", name, "mean"),
+            )
+            for name in shadows
+        ),
+        *(
+            Measure(
+                f"share/{zone}",
+                title := f"share of time in {zone}",
+                f"{title} {settled}",
+                BETTER_SHARES.get(zone),
+                ("settled_zone_shares", zone),
+            )
+            for zone in zones
+        ),
+        *(
+            Measure(
+                f"focus/{zone}",
+                title := f"focus on {zone}",
+                f"first decision of the {title}",
+                "lower",
+                ("focus", zone),
+            )
+            for zone in FOCUS_SHARES
+            if zone in zones
+        ),
+        Measure("n_regions", "regions", "number of regions", None, ("n_regions",)),
+    ]
 
 
 def measure_rows(

@@ -82,7 +82,8 @@ def _draw(
     for found in differences:
         if found.improvement and found.improvement.n:
             pair = f"{found.one} over {found.other}"
-            panels.setdefault(_short(found.measure), {})[pair] = found.improvement
+            title = f"{found.measure.title}\n({found.measure.better} is better)"
+            panels.setdefault(title, {})[pair] = found.improvement
     if panels:
         shows = "Probability that a robot of the first variant is better than one of the second."
         drawn["improvement"] = draw_improvements(panels), shows
@@ -90,11 +91,6 @@ def _draw(
     for name, (figure, _) in drawn.items():
         save(figure, folder / FIGURES / f"{name}.png")
     return {f"{FIGURES}/{name}.png": shows for name, (_, shows) in drawn.items()}
-
-
-def _short(measure: Measure) -> str:
-    """Return what a measure is called over a panel: its name and which values are better."""
-    return f"{measure.name.replace('/', ' ')}\n({measure.better} is better)"
 
 
 def _tell_tensorboard(

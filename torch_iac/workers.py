@@ -96,7 +96,11 @@ def on_ray(jobs: Sequence[Job], live: Live, address: str, gpus: float = 0.0) -> 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
     """
-    ray = _connect(address)
+    return _tasks(_connect(address), jobs, live, gpus)
+
+
+def _tasks(ray: Any, jobs: Sequence[Job], live: Live, gpus: float) -> Crew:
+    """Hand the runs to Ray, and leave it in the end."""
     task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=RETRIES)(_ray_task)
     running = {task.remote(job, live): job for job in jobs}
     try:
