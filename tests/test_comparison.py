@@ -191,13 +191,15 @@ def test_what_is_done_is_not_run_again_and_more_seeds_can_be(folder: Path) -> No
     assert times().items() > before.items()
 
 
-def test_a_part_of_the_runs_makes_no_report(tmp_path: Path) -> None:
+def test_a_part_of_the_runs_makes_no_report_before_it_is_asked_for(tmp_path: Path) -> None:
     words = ("--variant=a:", "--variant=b:--drive random", "--seeds=1")
     answer = compare(tmp_path / "a", *words, "--only=2/2")
-    assert (answer.code, answer.out) == (0, "1 runs: 1 done.\n")
+    assert (answer.code, answer.out) == (0, "1 run: 1 done.\n")
     assert not (tmp_path / "a" / "report.md").exists()
+    answer = typed("compare", tmp_path / "a", "--report")
+    assert (answer.code, answer.out.splitlines()[0]) == (0, "2 runs: 1 done, 1 not begun.")
     assert not (tmp_path / "a" / "a").exists()
-    assert (tmp_path / "a" / "b" / "seed-000" / "summary.json").exists()
+    assert "\n- a/seed-000: not begun\n" in (tmp_path / "a" / "report.md").read_text()
 
 
 def test_a_run_that_fails_is_told_of_and_the_others_go_on(tmp_path: Path) -> None:

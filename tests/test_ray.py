@@ -61,7 +61,7 @@ def test_a_killed_worker_is_replaced_and_its_run_goes_on(address: str, tmp_path:
 def test_a_run_that_fails_there_says_why(address: str, tmp_path: Path) -> None:
     words = ("--variant=huge:--steps 999999999", "--seeds=1", "--ray", address)
     answer = typed("compare", tmp_path / "a", *words, "--", "--world", "kinematic")
-    assert (answer.code, answer.out) == (1, "1 runs: 1 failed.\n"), answer.err
+    assert (answer.code, answer.out) == (1, "1 run: 1 failed.\n"), answer.err
     assert "huge/seed-000 failed: a run must fit into memory" in answer.err
 
 

@@ -341,13 +341,21 @@ class Compare:
     only: str | None = None
     """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
 
+    report: bool = False
+    """Only report on what has ended."""
+
     def run(self, words: Sequence[str]) -> None:
         """Carry the command out; `words` are options for all runs."""
         comparison = self._comparison(words)
+        if not self.report:
+            self._carry_out(comparison)
+        self._answer(comparison)
+
+    def _carry_out(self, comparison: Comparison) -> None:
+        """Carry out the runs that are not done."""
         jobs = comparison.jobs()
         sizes = self._sizes(jobs)
-        mine = part_of(jobs, self.only) if self.only else jobs
-        open_jobs = [job for job in mine if job.state != "done"]
+        open_jobs = [job for job in self._part(jobs) if job.state != "done"]
         if self.ray is None:
             crew = on_processes(open_jobs, go_on, self.processes)
         else:
@@ -359,13 +367,21 @@ class Compare:
             raise StoppedError(
                 stop.signals[0], f"stopped; go on with: torch-iac compare {self.folder}"
             )
-        lines = [f"{len(mine)} runs: {tally_states(mine)}."]
+
+    def _answer(self, comparison: Comparison) -> None:
+        """Report, and say where, and which runs failed."""
+        mine = self._part(comparison.jobs())
+        lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {tally_states(mine)}."]
         if self.only is None and any(job.state == "done" for job in mine):
             lines.append(f"Read {save_report(comparison)}, or: tensorboard --logdir {self.folder}")
         print("\n".join(lines))  # noqa: T201 - the command's answer
         failed = [job for job in mine if job.state == "failed"]
         if failed:
             _exit(1, "\n".join(f"{job.name} failed: {job.reason}" for job in failed))
+
+    def _part(self, jobs: Sequence[Job]) -> Sequence[Job]:
+        """Return the runs that this command is about."""
+        return part_of(jobs, self.only) if self.only else jobs
 
     def _comparison(self, words: Sequence[str]) -> Comparison:
         """Return what the folder holds, if anything, and what is asked for besides."""

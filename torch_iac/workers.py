@@ -34,6 +34,9 @@ SECONDS_TO_SAVE = 60.0
 RETRIES = 3
 """How often Ray tries a run again whose process or machine was lost."""
 
+SECONDS_TO_ANSWER = 10.0
+"""How long a Ray cluster may take to answer at all."""
+
 Live = Callable[[Sequence[str], Path], None]
 """What makes a run of its words in its folder, or goes on with it; `KeyboardInterrupt` says that it
 was asked to stop and has saved itself."""
@@ -208,15 +211,27 @@ def _connect(address: str) -> Any:
     except ImportError:
         raise ValueError("--ray needs Ray: pip install 'torch_iac[ray]'") from None
     try:
+        _knock(address)
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         first = str(error).strip().partition("\n")[0]
         raise ValueError(
             f"ray must be the address of a cluster that lets this machine in, got {address} "
-            f"({first}); a cluster begun with `ray start --head` may ask for its token "
+            f"({first}); one that was begun with `ray start --head` may ask for its token "
             "(RAY_AUTH_TOKEN)"
         ) from None
     return ray
+
+
+def _knock(address: str) -> None:
+    """Refuse an address where nobody listens: Ray itself would try for minutes.
+
+    Raises:
+        OSError: Nobody does.
+    """
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon and port.isdigit():
+        socket.create_connection((host, int(port)), SECONDS_TO_ANSWER).close()
 
 
 @contextmanager
