@@ -430,7 +430,9 @@ def test_a_run_is_never_overwritten(run: Run) -> None:
     before = fingerprints(run.folder)
     answer = typed("train", "--steps", "5", "--out", run.folder)
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == (f"torch-iac: {run.folder} already holds a run; choose another folder\n")
+    assert answer.err == (
+        f"torch-iac: {run.folder} already holds a run; resume it or choose another folder\n"
+    )
     assert fingerprints(run.folder) == before
 
 
@@ -474,7 +476,7 @@ def test_an_interrupted_run_keeps_its_decisions(
     monkeypatch.setattr(Recorder, "record", interrupted)
     answer = typed("train", "--steps", "300", "--out", tmp_path / "a")
     assert (answer.code, answer.out) == (130, "")
-    assert answer.err == f"torch-iac: interrupted; what was recorded is in {tmp_path / 'a'}\n"
+    assert answer.err == f"torch-iac: interrupted; go on with: torch-iac resume {tmp_path / 'a'}\n"
     assert load_run(tmp_path / "a").n_decisions == 150
     assert not (tmp_path / "a" / "summary.json").exists()
 
@@ -508,6 +510,9 @@ def test_ctrl_c_ends_the_installed_command_in_order(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out) == (130, "")
-    assert err.splitlines()[-1] == f"torch-iac: interrupted; what was recorded is in {tmp_path}/a"
+    sentence = r"torch-iac: stopped after decision \d+; go on with: torch-iac resume (.*)"
+    words = re.fullmatch(sentence, err.splitlines()[-1])
+    assert words
+    assert words[1] == str(tmp_path / "a")
     assert "Traceback" not in err
     assert load_run(tmp_path / "a").n_decisions >= 2000

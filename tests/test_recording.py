@@ -278,7 +278,9 @@ def test_a_folder_that_holds_a_run_is_refused_and_not_touched(tmp_path: Path, na
     folder = tmp_path / "a"
     folder.mkdir()
     (folder / name).write_text("a run")
-    with pytest.raises(FileExistsError, match=r"a already holds a run; choose another folder"):
+    with pytest.raises(
+        FileExistsError, match=r"a already holds a run; resume it or choose another folder"
+    ):
         Recorder(folder, SyntheticPopulation(1, 1))
     assert [path.name for path in folder.iterdir()] == [name]
     assert (folder / name).read_text() == "a run"

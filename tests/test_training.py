@@ -8,10 +8,11 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from torch_iac import IAC, IACConfig, SensorimotorSpace, training
+from torch_iac.checkpoint import Checkpoints, identity
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
 from torch_iac.training import train
@@ -94,8 +95,11 @@ def test_nobody_need_record() -> None:
     worlds = sync_worlds(1)
     agent = population(worlds, [0])
     train(agent, worlds, 30)
-    train(agent, worlds, 12)  # goes on with what it knows, in a world made anew
+    train(agent, worlds, 42)  # goes on with what it knows, in a world made anew
     assert agent.n_decisions == 42
+    assert train(agent, worlds, 42)
+    with pytest.raises(ValueError, match=r"must be at least those already taken \(42\), got 41"):
+        train(agent, worlds, 41)
 
 
 @pytest.mark.parametrize("n_worlds", [1, 3])
@@ -123,7 +127,52 @@ def test_where_there_is_no_terminal_the_log_speaks_now_and_then(
         train(population(worlds, [0]), worlds, 3)
     assert len(caplog.messages) == 3
     for number, message in enumerate(caplog.messages, start=1):
-        assert re.fullmatch(rf"{number} of 3 decisions, \d+ a second", message)
+        assert re.fullmatch(rf"{number} of 3 decisions, [\d.e+]+ a second", message)
+
+
+class Ladder(gym.Env[Sensors, Sensors]):
+    """Its sensor counts up; at 5 it is over, and it starts again at 0."""
+
+    def __init__(self) -> None:
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = gym.spaces.Box(0.0, 5.0, (1,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Sensors, dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        self.rung = 0
+        return np.array([0.0], np.float32), {}
+
+    def step(self, _: Sensors) -> tuple[Sensors, SupportsFloat, bool, bool, dict[str, Any]]:
+        self.rung += 1
+        return np.array([self.rung], np.float32), 0.0, self.rung == 5, False, {}
+
+
+def test_where_an_episode_ends_the_outcome_is_its_end_and_the_next_action_sees_the_beginning(
+    tmp_path: Path,
+) -> None:
+    worlds = SyncVectorEnv([Ladder] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
+    agent = population(worlds, [0, 1])
+    with Recorder(tmp_path, agent) as recorder:
+        train(agent, worlds, 12, recorder)
+    run = load_run(tmp_path)
+    assert run.column("sensor/0")[:, 1].tolist() == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
+    assert run.column("outcome/0")[:, 1].tolist() == [1, 2, 3, 4, 5, 1, 2, 3, 4, 5, 1, 2]
+
+
+def test_a_world_that_would_show_its_beginning_as_an_outcome_is_refused() -> None:
+    worlds = SyncVectorEnv([Ladder])
+    with pytest.raises(ValueError, match="must be made with autoreset_mode SAME_STEP, got"):
+        train(population(worlds, [0]), worlds, 12)
+
+
+def test_a_world_that_cannot_be_saved_is_refused_when_it_should_be(tmp_path: Path) -> None:
+    worlds = sync_worlds(1)
+    agent = population(worlds, [0])
+    checkpoints = Checkpoints(tmp_path, identity(agent))
+    with pytest.raises(ValueError, match="a world must have get_state and set_state, or worlds"):
+        train(agent, worlds, 12, checkpoints=checkpoints)
 
 
 def test_a_short_run_is_silent(

@@ -236,6 +236,8 @@ class Train:
                         f"stopped after decision {agent.n_decisions}; "
                         f"go on with: torch-iac resume {out}",
                     )
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; go on with: torch-iac resume {out}") from None
         finally:
             env.close()
         save_figures(out)
@@ -488,8 +490,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _exit(2, _sentence(error))
     except StoppedError as stopped:
         _exit(128 + stopped.signal, str(stopped))
-    except KeyboardInterrupt:
-        _exit(130, "interrupted")
+    except KeyboardInterrupt as interrupt:
+        _exit(130, str(interrupt) or "interrupted")
 
 
 def _exit(code: int, sentence: str) -> NoReturn:
@@ -629,9 +631,9 @@ class _Stop:
         return bool(self.signals)
 
     def receive(self, number: int, frame: object) -> None:
-        """Note a signal; the second Ctrl-C does not wait for the decision to end."""
+        """Note a signal; the second does not wait for the decision to end."""
         del frame
-        if self.signals and number == signal.SIGINT:
+        if self.signals:
             raise KeyboardInterrupt
         self.signals.append(number)
 

@@ -19,6 +19,10 @@ from torch_iac.state import Stateful
 
 MINIBATCH_STREAM = 1
 
+AGENTS_IN_CACHE = 64
+"""Of so many agents the examples of a region each are compared at once on a processor: they, and
+what is made of them, stay in its cache."""
+
 
 class ExpertPool(Protocol):
     """The experts of a population, one for each row.
@@ -97,8 +101,7 @@ class KNNExperts(Stateful):
 
     def predict(self, examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
         """Return the predicted outcomes, shape `(A, K)`, in scaled units."""
-        offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
-        distances = offsets.square_().sum(dim=1)  # (A, N), squared
+        distances = _squared_distances(examples, rows, situations)  # (A, N)
         if self.k == 1:
             return examples.outcomes[rows, :, distances.argmin(dim=1)]
         outcomes = examples.outcomes.index_select(0, rows)  # (A, K, N)
@@ -114,6 +117,16 @@ class KNNExperts(Stateful):
 
     def split(self, examples: Examples, split: Split) -> None:
         """Do nothing: the examples are parted already."""
+
+
+def _squared_distances(examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
+    """Return the squared distance of each situation to each example of its row, `(A, N)`."""
+    at_once = AGENTS_IN_CACHE if rows.device.type == "cpu" else len(rows)
+    if len(rows) > at_once:
+        parts = zip(*(torch.split(of, at_once) for of in (rows, situations)), strict=True)
+        return torch.cat([_squared_distances(examples, *part) for part in parts])
+    offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
+    return offsets.square_().sum(dim=1)
 
 
 @dataclass(frozen=True, kw_only=True)

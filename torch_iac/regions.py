@@ -330,39 +330,52 @@ def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:
     """
     if not 0 <= balance <= 0.5:
         raise ValueError(f"balance must lie in [0, 0.5], got {balance}")
-    sorted_values, order = situations.sort(dim=1)  # (F, N, D)
-    gains = _gains(order, outcomes)
-    n_left = torch.arange(1, situations.shape[1], device=situations.device)[:, None]
-    smaller = torch.minimum(n_left, situations.shape[1] - n_left).double()
-    admissible = sorted_values[:, :-1] < sorted_values[:, 1:]
-    admissible &= smaller / situations.shape[1] >= balance
-    gains = gains.masked_fill_(~admissible, -math.inf).transpose(1, 2).flatten(1)  # (F, D * (N-1))
+    n_examples = situations.shape[1]
+    values, order = _sorted(situations.mT)  # (F, D, N)
+    gains = _gains(order, outcomes.mT)  # (F, D, N-1)
+    n_left = torch.arange(1, n_examples, device=situations.device)
+    smaller = torch.minimum(n_left, n_examples - n_left).double()
+    admissible = values[..., :-1] < values[..., 1:]
+    admissible &= smaller / n_examples >= balance
+    gains = gains.masked_fill_(~admissible, -math.inf).flatten(1)  # (F, D * (N-1))
     best = gains.amax(dim=1, keepdim=True)
     first_tied = (gains >= best * (1 - TIE)).to(torch.int8).argmax(dim=1)
-    dimension = first_tied // (situations.shape[1] - 1)
-    index = (first_tied % (situations.shape[1] - 1))[:, None]
-    values = sorted_values.gather(2, dimension[:, None, None].expand(-1, situations.shape[1], 1))
-    values = values.squeeze(-1)
+    dimension = first_tied // (n_examples - 1)
+    index = (first_tied % (n_examples - 1))[:, None]
+    values = values.gather(1, dimension[:, None, None].expand(-1, 1, n_examples))[:, 0]
     value = (values.gather(1, index) + values.gather(1, index + 1)) / 2
     return Cut(best.squeeze(1) > -math.inf, dimension, value.squeeze(1))
 
 
+def _sorted(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return values `(..., n)` from low to high, and where each was; equal ones in any order."""
+    if values.device.type == "cpu":  # where numpy is six times as fast
+        order = torch.from_numpy(values.numpy().argsort(axis=-1))
+    else:
+        order = values.argsort(dim=-1)
+    return values.gather(-1, order), order
+
+
 def _gains(order: Tensor, outcomes: Tensor) -> Tensor:
-    """Return by how much each cut lowers the sum of squared deviations, shape `(F, N-1, D)`.
+    """Return by how much each cut lowers the sum of squared deviations, shape `(F, D, N-1)`.
 
     With `S` the sum of a side's outcomes and `n` its size, the decrease is
     (n_right S_left - n_left S_right)^2 / (n n_left n_right), which needs no sum of squares. In
     steps of `UNIT_STEP` the outcomes are whole numbers, so the bracket is exact and cuts that
     part the examples alike have bit for bit the same gain. The constant 1 / n is left out.
+
+    Args:
+        order: Shape `(F, D, N)`, the examples from low to high along each dimension.
+        outcomes: Shape `(F, K, N)`.
     """
-    n_examples = outcomes.shape[1]
+    n_examples = outcomes.shape[2]
     whole = (outcomes.double() / UNIT_STEP).round()
-    n_left = torch.arange(1, n_examples, device=outcomes.device, dtype=torch.float64)[:, None]
+    n_left = torch.arange(1, n_examples, device=outcomes.device, dtype=torch.float64)
     n_right = n_examples - n_left
     gains = torch.zeros((), dtype=torch.float64, device=outcomes.device)
-    for k in range(outcomes.shape[2]):
-        column = whole[:, :, k, None].expand(order.shape)
-        sums = column.gather(1, order).cumsum(dim=1)  # (F, N, D)
-        left, total = sums[:, :-1], sums[:, -1:]
+    for k in range(outcomes.shape[1]):
+        column = whole[:, k, None].expand(order.shape)
+        sums = column.gather(2, order).cumsum(dim=2)  # (F, D, N)
+        left, total = sums[..., :-1], sums[..., -1:]
         gains = gains + (n_right * left - n_left * (total - left)).square()
     return gains / (n_left * n_right)

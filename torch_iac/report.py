@@ -208,7 +208,7 @@ def _not_done(comparison: Comparison) -> list[str]:
                 f"- {job.name} failed: {job.reason} (`{job.log.relative_to(comparison.folder)}`)"
             )
         elif job.state != "done":
-            lines.append(f"- {job.name}: {tally_states([job]).removeprefix("1 ")}")
+            lines.append(f"- {job.name}: {tally_states([job]).removeprefix('1 ')}")
     return ["## Not done", "\n".join(lines)] if lines else []
 
 

@@ -63,9 +63,9 @@ def train(
         Whether all decisions were taken.
 
     Raises:
-        ValueError: The number of worlds is not that of the agents, there are no decisions left to
-            take, the world cannot be saved, a checkpoint does not fit, or a world whose episodes
-            end was not made with `AutoresetMode.SAME_STEP`.
+        ValueError: The number of worlds is not that of the agents, fewer decisions are to be
+            taken than were already, the world cannot be saved, a checkpoint does not fit, or a
+            world whose episodes end was not made with `AutoresetMode.SAME_STEP`.
     """
     if env.num_envs != agent.n_agents:
         raise ValueError(
@@ -76,9 +76,9 @@ def train(
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value}")
     sensors = _begin(agent, env, recorder, checkpoints)
-    if n_decisions <= agent.n_decisions:
+    if n_decisions < agent.n_decisions:
         raise ValueError(
-            f"n_decisions must be above those already taken ({agent.n_decisions}), "
+            f"n_decisions must be at least those already taken ({agent.n_decisions}), "
             f"got {n_decisions}"
         )
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
