@@ -142,6 +142,9 @@ def test_pictures_hold_what_is_there(runs: dict[str, list[Run]], n_variants: int
         assert all(len(panel.lines) == n_variants for panel in panels)
         styles = {(line.get_color(), line.get_linestyle()) for line in panels[0].lines}
         assert len(styles) == n_variants
+    curves["variant 0"].errors[:2, 0, 1] = np.nan  # a robot that was not there
+    curves["variant 0"].errors[3, :, 1] = np.nan
+    draw_errors(curves)
     pairs = {f"variant {n} over 0": Estimate(0.6, 0.4, 0.9, 5) for n in range(n_variants)}
     figure = draw_improvements({f"measure {n}": pairs for n in range(5)})
     assert sum(panel.get_visible() for panel in figure.axes) == 5

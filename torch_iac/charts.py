@@ -4,7 +4,7 @@ Colours are Okabe and Ito's, which colour-blind readers tell apart; with many va
 too. Shapes: `W` windows of decisions, `S` seeds, `Z` zones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -160,7 +160,8 @@ def save(figure: Figure, path: Path) -> None:
 
 def _panels(curves: Mapping[str, Curves], names: Sequence[str]) -> tuple[Figure, dict[str, Axes]]:
     """Return a figure with a panel for each name, side by side, with time along each."""
-    figure = Figure(figsize=(WIDTH, 2.5), layout="constrained")
+    n_rows = -(-len(curves) // _n_columns(curves))
+    figure = Figure(figsize=(WIDTH, 2.35 + 0.15 * n_rows), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for panel, name in zip(axes, names, strict=True):
         time_axis(panel, max(of.n_decisions for of in curves.values()), n_ticks=4)
@@ -181,11 +182,13 @@ def _draw_lines(
 
 def _known_band(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the interval of each window's mean over the robots that were there."""
-    low, high = band(values)
-    for window in np.flatnonzero(np.isnan(values).any(axis=1)):
-        known = values[window][np.isfinite(values[window])]
-        low[window], high[window] = band(known)
-    return low, high
+    ends = np.full((2, len(values)), np.nan)
+    is_whole = np.isfinite(values).all(axis=1)
+    if is_whole.any():
+        ends[:, is_whole] = band(values[is_whole])
+    for window in np.flatnonzero(~is_whole):
+        ends[:, window] = band(values[window][np.isfinite(values[window])])
+    return ends[0], ends[1]
 
 
 def _draw_points(panel: Axes, pairs: Sequence[str], found: Mapping[str, Estimate]) -> None:
@@ -201,20 +204,25 @@ def _draw_points(panel: Axes, pairs: Sequence[str], found: Mapping[str, Estimate
     panel.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
 
 
-def _legend(figure: Figure, variants: Sequence[str] | Mapping[str, Any]) -> None:
+def _legend(figure: Figure, variants: Collection[str]) -> None:
     """Put a legend above the panels, clear of the data, in as many rows as it needs."""
-    longest = max(map(len, variants)) + 6
     figure.legend(
         handles=[
             Line2D([], [], linewidth=1.6, label=name, **_style(place))
             for place, name in enumerate(variants)
         ],
         loc="outside upper center",
-        ncols=max(1, min(len(variants), LEGEND_LETTERS // longest)),
+        ncols=_n_columns(variants),
         frameon=False,
         handlelength=2.0,
         columnspacing=1.2,
     )
+
+
+def _n_columns(variants: Collection[str]) -> int:
+    """Return how many variants stand side by side in the legend."""
+    longest = max(map(len, variants)) + 6  # with the line before it
+    return max(1, min(len(variants), LEGEND_LETTERS // longest))
 
 
 def _style(place: int) -> dict[str, Any]:
