@@ -1,6 +1,7 @@
 """A run that was stopped, killed or spoilt goes on as the run that would have been."""
 
 import math
+import resource
 import shutil
 import signal
 from collections.abc import Callable
@@ -277,3 +278,24 @@ def test_a_second_signal_does_not_wait_for_the_decision_to_end() -> None:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_full_disk_is_one_sentence_and_the_run_goes_on_when_there_is_room(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "full"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # No file may be larger: the checkpoints grow beyond it after some decisions.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, limits[1]))
+    try:
+        with pytest.raises(SystemExit) as end:
+            main(begin(small, folder))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert end.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"torch-iac: File too large; go on with: torch-iac resume {folder}"
+    )
+    assert 0 < load_run(folder).n_decisions < N_DECISIONS
+    main(["resume", str(folder)])
+    check_same(folder, small)

@@ -57,7 +57,7 @@ from torch_iac.recording import Recorder
 from torch_iac.report import save_report
 from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
-from torch_iac.training import CHECKPOINT_EVERY, train
+from torch_iac.training import CHECKPOINT_EVERY, World, train
 from torch_iac.workers import carry_out, on_processes, on_ray
 
 WORLDS = {
@@ -223,21 +223,7 @@ class Train:
                 n_recorded=n_recorded,
                 resume=resume,
             )
-            world = {"name": self.world, "options": options}
-            checkpoints = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
-            with recorder, _stopping() as stop:
-                every = self.checkpoint_every
-                live = train(
-                    agent, env, self.steps, recorder, checkpoints, checkpoint_every=every, stop=stop
-                )
-                if not live:
-                    raise StoppedError(
-                        stop.signals[0],
-                        f"stopped after decision {agent.n_decisions}; "
-                        f"go on with: torch-iac resume {out}",
-                    )
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted; go on with: torch-iac resume {out}") from None
+            self._develop(agent, env, recorder, options)
         finally:
             env.close()
         save_figures(out)
@@ -247,6 +233,25 @@ class Train:
         """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
         device = torch.device("cpu") if elsewhere else _device(self.device)
         self._space(_options(self.world_options), device)
+
+    def _develop(
+        self, agent: IAC, env: World, recorder: Recorder, options: Mapping[str, Any]
+    ) -> None:
+        """Train; whatever ends it early comes with how to go on."""
+        out, world = recorder.folder, {"name": self.world, "options": options}
+        saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+        every = self.checkpoint_every
+        try:
+            with recorder, _stopping() as stop:
+                if not train(
+                    agent, env, self.steps, recorder, saved, checkpoint_every=every, stop=stop
+                ):
+                    where = f"stopped after decision {agent.n_decisions}"
+                    raise StoppedError(stop.signals[0], f"{where}; {_how_to_go_on(out)}")
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {_how_to_go_on(out)}") from None
+        except OSError as error:
+            raise OSError(f"{_sentence(error)}; {_how_to_go_on(out)}") from error
 
     def _space(self, options: Mapping[str, Any], device: torch.device) -> SensorimotorSpace:
         """Return what the robots do, sense and predict, from a single world."""
@@ -501,8 +506,8 @@ def _exit(code: int, sentence: str) -> NoReturn:
 
 def _sentence(error: Exception) -> str:
     """Return what an error says, without the number that the operating system gave it."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 
@@ -615,6 +620,10 @@ class StoppedError(Exception):
     def __init__(self, number: int, sentence: str) -> None:
         super().__init__(sentence)
         self.signal = number
+
+
+def _how_to_go_on(folder: Path) -> str:
+    return f"go on with: torch-iac resume {folder}"
 
 
 class _Stop:
