@@ -1,7 +1,8 @@
 """Means, differences and probabilities of improvement, each with what chance leaves open.
 
 Intervals are of 95 %, by the percentile bootstrap over robots; the same values give the same
-interval. With few robots they are too narrow: five hold the truth in about four cases of five.
+interval. With few robots they are too narrow: those of five hold the truth in about 84 cases
+of 100.
 
 Source: Agarwal, Schwarzer, Castro, Courville and Bellemare (2021), "Deep Reinforcement Learning at
 the Edge of the Statistical Precipice".

@@ -284,8 +284,8 @@ class _Progress:
         words = f"{len(self._sizes) - len(self._running)} of {len(self._sizes)} runs"
         words += f", {self._n_failed} failed" if self._n_failed else ""
         n_decisions, now = self._n_decisions(), time.monotonic()
-        self._bar.set_postfix_str(words, refresh=False)
-        self._bar.update(n_decisions - self._bar.n)
+        self._bar.n = n_decisions
+        self._bar.set_postfix_str(words)
         if self._bar.disable and now - self._spoken >= SECONDS_BETWEEN_LINES:
             self._spoken = now
             log.info("%s%s", words, self._left(n_decisions, now - self._started))
