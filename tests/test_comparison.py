@@ -100,7 +100,7 @@ BAD_WORDS = [
         "--variant=a:--seed=3",
         "variant a must leave --seed, --agents, --out to torch-iac compare, got --seed=3",
     ),
-    ("--variant=a: --seeds=0", "seeds must be at least 1, got 0"),
+    ("--variant=a: --seeds=0", "seeds must lie in [1, 100000], got 0"),
     ("--variant=a: --seed=-1", "seed must be at least 0, got -1"),
     (
         "--variant=a: --block=65",

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torch_iac import IACConfig, ImprovementPredictor, MetaPredictor, SensorimotorSpace
+from torch_iac import IAC, IACConfig, ImprovementPredictor, MetaPredictor, SensorimotorSpace
 from torch_iac.drives import (
     AbsoluteProgress,
     Candidates,
@@ -161,6 +161,15 @@ def test_a_curriculum_is_about_actions(knowledge: Knowledge) -> None:
         ValueError, match=r"a stage must be about an action \(push, tone\), got near"
     ):
         drive.worth(CANDIDATES, knowledge)
+    later = Curriculum((Stage("tone", 0, 1, until=1000), Stage("near", 0, 1, until=0)))
+    with pytest.raises(ValueError, match="a stage must be about an action"):
+        IAC(knowledge.space, IACConfig(drive=later))  # not a thousand decisions later
+
+
+@pytest.mark.parametrize(("low", "high"), [(1, 0), (float("nan"), 1), (0, float("inf"))])
+def test_a_stage_has_bounds(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="low and high must be finite and in order, got"):
+        Stage("tone", low, high, until=0)
 
 
 def test_a_curriculum_has_stages() -> None:

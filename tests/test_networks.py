@@ -274,6 +274,7 @@ def test_bad_modules_are_refused(factory: Factory, message: str) -> None:
     [
         ({"learning_rate": 0.0}, "learning_rate must be above 0, got 0.0"),
         ({"learning_rate": float("inf")}, "learning_rate must be above 0, got inf"),
+        ({"learning_rate": 1e300}, r"learning_rate must be at most 1e\+38, got 1e\+300"),
         ({"learning_rate": float("nan")}, "learning_rate must be above 0, got nan"),
         ({"minibatches": 0}, "minibatches must be at least 1, got 0"),
         ({"minibatch_size": -2}, "minibatch_size must be at least 1, got -2"),

@@ -1,9 +1,11 @@
 """What a run leaves behind."""
 
 import json
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pyarrow as pa
@@ -11,8 +13,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
+from torch_iac import recording, runs
 from torch_iac.agent import Step
 from torch_iac.recording import Recorder, region_table, write_config
 from torch_iac.runs import load_run
@@ -341,3 +346,54 @@ def test_cuts_are_named_and_in_raw_units() -> None:
     assert wheels[0]["cut_value"] == pytest.approx(0.0)  # half way between -1 and 1
     leaves = [row for row in table if row["split_step"] == -1]
     assert {(row["cut_dimension"], row["cut_value"]) for row in leaves} == {(None, None)}
+
+
+@given(
+    n_agents=st.integers(1, 4),
+    n_decisions=st.integers(1, 40),
+    rows_per_part=st.integers(1, 50),
+    window=st.integers(1, 12),
+    data=st.data(),
+)
+@settings(max_examples=40)
+def test_whatever_is_recorded_comes_back_and_windows_add_up(
+    n_agents: int, n_decisions: int, rows_per_part: int, window: int, data: st.DataObject
+) -> None:
+    n_recorded = data.draw(st.integers(1, n_agents))
+    flushed = data.draw(st.sets(st.integers(0, n_decisions)))
+    population = SyntheticPopulation(n_agents, n_decisions, shadows={"knn": 2.0})
+    decisions = [population.decide() for _ in range(n_decisions)]
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.object(recording, "WINDOW", window),
+        mock.patch.object(runs, "WINDOW", window),
+    ):
+        recorder = Recorder(
+            Path(folder),
+            population,
+            ZONES,
+            rows_per_part=rows_per_part,
+            n_recorded=n_recorded,
+            log_every=1000,
+        )
+        for number, (step, zones) in enumerate(decisions):
+            recorder.record(step, zones)
+            if number in flushed:
+                recorder.flush()
+        recorder.flush()
+        run = load_run(folder)
+        table = run.steps
+        errors = np.array([step.errors.numpy() for step, _ in decisions])
+        zones_of = np.array([zones for _, zones in decisions])
+        assert table.num_rows == n_decisions * n_recorded
+        assert run.column("error").tolist() == errors[:, :n_recorded].tolist()
+        assert run.column("zone").tolist() == zones_of[:, :n_recorded].tolist()
+        sensors = np.array([step.sensors[:, 0].numpy() for step, _ in decisions])
+        assert run.column("sensor/beam").tolist() == sensors[:, :n_recorded].tolist()
+        counts, sums = run.windows.counts, run.windows.sums["error"]
+        assert counts.shape == (-(-n_decisions // window), n_agents, 3)
+        for zone in range(3):
+            here = zones_of == zone
+            assert counts[..., zone].sum(axis=0).tolist() == here.sum(axis=0).tolist()
+            np.testing.assert_allclose(sums[..., zone].sum(axis=0), (errors * here).sum(axis=0))
+        recorder._dashboard.close()

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import oracle
+from torch_iac import IAC, Dimension, IACConfig, SensorimotorSpace
 from torch_iac.regions import NONE, Cut, RegionTree, best_cut
 from torch_iac.space import UNIT_STEP
 
@@ -168,3 +169,41 @@ def test_the_genealogy_tells_how_each_region_came_about() -> None:
     assert genealogy.cut_dimension.tolist() == [NONE, 1, NONE, NONE]
     assert genealogy.cut_value.nan_to_num(-1).tolist() == [-1, 0.25, -1, -1]
     assert genealogy.n_examples.tolist() == [7, 251, 100, 151]
+
+
+@given(
+    st.integers(1, 3),  # dimensions
+    st.sampled_from([1, 2, 7, 2**23]),  # how fine the grid is on which situations lie
+    st.sampled_from([0.0, 0.15, 0.5]),
+    st.integers(2, 12),
+    st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=60)
+def test_whatever_is_cut_leaves_part_the_cube_and_hold_their_own_examples(
+    dim: int, steps: int, balance: float, max_examples: int, seed: int
+) -> None:
+    """Ties and duplicates included: a life of random examples on a grid, looked at in the end."""
+    actions = tuple(Dimension(f"a{i}", 0.0, 1.0) for i in range(dim))
+    sensor = Dimension("s", 0.0, 1.0)
+    space = SensorimotorSpace(actions, (sensor,), (sensor,))
+    config = IACConfig(n_candidates=1, max_examples=max_examples, balance=balance)
+    agent = IAC(space, config, [seed, seed + 1])
+    numbers = torch.Generator().manual_seed(seed)
+    for _ in range(120):
+        sensors = torch.randint(steps + 1, (2, 1), generator=numbers) / steps
+        agent.act(sensors)
+        agent.observe((sensors * 3) % 1)
+    tree, leaves = agent.tree, agent.tree.leaves()
+    lows, highs = (bounds[leaves].double() for bounds in tree.boxes(dim + 1))
+    volumes = (highs - lows).prod(dim=1)
+    for number in range(2):  # the leaves of each agent fill the cube
+        assert volumes[tree.agent[leaves] == number].sum().item() == pytest.approx(1.0)
+    for leaf, low, high in zip(leaves, lows, highs, strict=True):
+        row, owner = tree.rows[leaf], int(tree.agent[leaf])
+        held = agent.examples.situations[row, :, : agent.examples.counts[row]].T  # (n, D)
+        assert len(held) <= max_examples
+        assert (((held > low) | (low == 0)) & (held <= high)).all()
+        if len(held):
+            asked = held.expand(2, *held.shape)
+            assert (tree.route(asked)[owner] == leaf).all()
+    assert int(agent.examples.counts[: tree.n_rows].sum()) <= 2 * 120

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_iac.config import IACConfig
-from torch_iac.drives import Candidates, Knowledge
+from torch_iac.drives import Candidates, Curriculum, Knowledge
 from torch_iac.examples import Examples
 from torch_iac.experts import ExpertPool
 from torch_iac.progress import ErrorHistory
@@ -111,7 +111,8 @@ class IAC(Stateful):
         device: Where everything is kept and computed.
 
     Raises:
-        ValueError: There are no seeds, or the device is not there.
+        ValueError: There are no seeds, the device is not there, or a curriculum is about an action
+            that the world has not.
 
     Source: Oudeyer and Kaplan (2004).
     """
@@ -137,6 +138,8 @@ class IAC(Stateful):
     ) -> None:
         if not seeds:
             raise ValueError("seeds must name at least one agent, got none")
+        if config is not None and isinstance(config.drive, Curriculum):
+            config.drive.columns(space)  # before the robots live, not when a stage begins
         self.space = space
         self.config = config = config or IACConfig()
         self.seeds = tuple(int(seed) for seed in seeds)

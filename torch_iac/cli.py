@@ -8,12 +8,12 @@ import signal
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
 from inspect import signature
-from json import JSONDecodeError, loads
+from json import loads
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -37,6 +37,7 @@ from torch_iac.comparison import (
     tally_states,
 )
 from torch_iac.config import PRESETS, IACConfig
+from torch_iac.counts import check_count
 from torch_iac.drives import (
     AbsoluteProgress,
     Curriculum,
@@ -54,6 +55,7 @@ from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
+from torch_iac.refusals import plain_refusals
 from torch_iac.report import save_report
 from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
@@ -99,7 +101,13 @@ DriveName = Literal[
     "random",
 ]
 
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+KINDS = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "a text",
+    str | None: "a text or null",
+}
 """What an argument of a world may be, in words."""
 
 SEEDS = 2**32
@@ -188,10 +196,8 @@ class Train:
 
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.recorded_rows < 0:
-            raise ValueError(f"recorded_rows must be at least 0, got {self.recorded_rows}")
+            check_count(name, getattr(self, name))
+        check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
@@ -412,7 +418,7 @@ class Compare:
         steps = {}
         for job in {job.variant: job for job in jobs}.values():
             try:
-                settings = _silently_parsed(list(job.words[1:]))
+                settings = _settings_of(list(job.words[1:]))
                 settings.check(elsewhere=self.ray is not None)
             except (ValueError, gym.error.Error) as error:
                 raise ValueError(f"variant {job.variant}: {error}") from None
@@ -428,31 +434,24 @@ def go_on(words: Sequence[str], folder: Path) -> None:
     Raises:
         KeyboardInterrupt: It was asked to stop, and has saved itself.
     """
-    settings = _parsed(list(words[1:]))
-    assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
+    settings = _settings_of(list(words[1:]))
     try:
         settings.live(folder, words, resume=folder.exists())
     except StoppedError as stopped:
         raise KeyboardInterrupt(str(stopped)) from None
 
 
-def _silently_parsed(arguments: Sequence[str]) -> Train:
-    """Return what `torch-iac train` makes of its options; what it refuses is one sentence.
+def _settings_of(arguments: Sequence[str]) -> Train:
+    """Return what `torch-iac train` makes of its options.
 
     Raises:
         ValueError: They are refused.
     """
-    said = io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(said):
+        with redirect_stdout(io.StringIO()):
             settings = _parsed(arguments)
-    except SystemExit as end:
-        if not end.code:
-            raise ValueError("words must be options of torch-iac train, got --help") from None
-        lines = [line.strip() for line in said.getvalue().splitlines()]
-        rules = [number for number, line in enumerate(lines) if line and not line.strip("-")]
-        sentence = " ".join(lines[rules[0] + 1 : rules[1]])  # the title is above, a hint below
-        raise ValueError(sentence.removeprefix("Error parsing Train: ")) from None
+    except SystemExit:
+        raise ValueError("words must be options of torch-iac train, got --help") from None
     assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
     return settings
 
@@ -505,10 +504,11 @@ def _exit(code: int, sentence: str) -> NoReturn:
 
 
 def _sentence(error: Exception) -> str:
-    """Return what an error says, without the number that the operating system gave it."""
+    """Return what an error says, in one line, without the number of the operating system."""
+    text = str(error)
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return " ".join(text.split())
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -518,6 +518,7 @@ def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     return words[:place], words[place + 1 :]
 
 
+@plain_refusals()
 def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
@@ -583,7 +584,7 @@ def _make_world(
             raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
         kind = parameters[option].annotation
         if kind in KINDS and not _is_a(kind, value):
-            raise ValueError(f"{option} must be {KINDS[kind]}, got {value}")
+            raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
     try:
         if is_batched:
             # Actions are in their bounds; the check would make a GPU wait at every decision.
@@ -594,7 +595,7 @@ def _make_world(
         raise ValueError(str(error)) from error
 
 
-def _is_a(kind: type, value: object) -> bool:
+def _is_a(kind: Any, value: object) -> bool:
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)
@@ -609,7 +610,7 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
             raise ValueError(f"world options must be written name=value, got {pair}")
         try:
             options[name.replace("-", "_")] = loads(value)
-        except JSONDecodeError:
+        except (ValueError, RecursionError):  # not JSON, or more than Python reads of it
             options[name.replace("-", "_")] = value
     return options
 

@@ -28,6 +28,9 @@ FIGURES = "figures"
 OWN_WORDS = ("--seed", "--agents", "--out")
 """What a comparison itself says to each of its runs."""
 
+MOST_SEEDS = 100_000
+"""With more, even the list of runs would be too long."""
+
 NAME = re.compile(r"\w[\w.+=-]*")
 """What a variant, and so a folder, can be called."""
 
@@ -172,8 +175,8 @@ class Comparison:
         for name in (names := [variant.name for variant in self.variants]):
             if names.count(name) > 1:
                 raise ValueError(f"a variant's name must stand once, got {name} again")
-        if self.n_seeds < 1:
-            raise ValueError(f"seeds must be at least 1, got {self.n_seeds}")
+        if not 1 <= self.n_seeds <= MOST_SEEDS:
+            raise ValueError(f"seeds must lie in [1, {MOST_SEEDS}], got {self.n_seeds}")
         if self.seed < 0:
             raise ValueError(f"seed must be at least 0, got {self.seed}")
         if not 1 <= self.block <= N_AGENTS_LISTED:
@@ -218,7 +221,7 @@ class Comparison:
             before = known.setdefault(variant.name, variant)
             self._check_same(f"the words of {variant.name}", before.words, variant.words)
         self._check_same("the words for all", self.words, tuple(words) or self.words)
-        self._check_same("block", self.block, block or self.block)
+        self._check_same("block", self.block, self.block if block is None else block)
         return replace(
             self,
             variants=tuple(known.values()),

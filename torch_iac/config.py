@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 from torch_iac.choices import Choice, Greedy
+from torch_iac.counts import check_count
 from torch_iac.drives import Drive, Progress
 from torch_iac.experts import Experts, KNNExperts
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
@@ -52,9 +53,7 @@ class IACConfig:
 
     def __post_init__(self) -> None:
         for name in ("n_candidates", "max_examples", "window", "delay"):
-            least = 2 if name == "max_examples" else 1
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
+            check_count(name, getattr(self, name), least=2 if name == "max_examples" else 1)
         for name, high in (("epsilon", 1), ("balance", 0.5)):
             if not 0 <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must lie in [0, {high}], got {getattr(self, name)}")

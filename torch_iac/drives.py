@@ -4,12 +4,14 @@ A drive is a frozen bundle of numbers with one method, `worth`. What it may look
 candidates, is in `Knowledge`; parts that only some drives need are kept only if `needs` names them.
 """
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from torch_iac.counts import check_count
 from torch_iac.examples import Examples
 from torch_iac.meta import ErrorExpectation, RecentNetworks
 from torch_iac.progress import ErrorHistory
@@ -221,6 +223,14 @@ class Stage:
     until: int
     """The decision at which the stage ends; the last stage never does."""
 
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(
+                f"a stage's low and high must be finite and in order, got {self.low} and "
+                f"{self.high}"
+            )
+        check_count("until", self.until, least=0)
+
 
 FROM_EASY_TO_HARD = (Stage("sound", 2 / 3, 1.0, 1000), Stage("sound", 1 / 3, 2 / 3, 0))
 """The toy room's lesson: f3 for 1,000 decisions, then f2."""
@@ -244,20 +254,25 @@ class Curriculum:
         if not self.stages:
             raise ValueError("stages must hold at least one stage, got none")
 
-    def worth(self, candidates: Candidates, knowledge: Knowledge) -> Tensor:
-        """Return what each candidate is worth, shape `(A, C)`.
+    def columns(self, space: SensorimotorSpace) -> list[int]:
+        """Return where in the actions the dimension of each stage stands.
 
         Raises:
-            ValueError: The world has no action of the stage's name.
+            ValueError: The world has no action of a stage's name.
         """
+        names = [action.name for action in space.actions]
+        for stage in self.stages:
+            if stage.dimension not in names:
+                raise ValueError(
+                    f"a stage must be about an action ({', '.join(names)}), got {stage.dimension}"
+                )
+        return [names.index(stage.dimension) for stage in self.stages]
+
+    def worth(self, candidates: Candidates, knowledge: Knowledge) -> Tensor:
+        """Return what each candidate is worth, shape `(A, C)`."""
         later = (stage for stage in self.stages[:-1] if knowledge.step < stage.until)
         stage = next(later, self.stages[-1])
-        names = [action.name for action in knowledge.space.actions]
-        if stage.dimension not in names:
-            raise ValueError(
-                f"a stage must be about an action ({', '.join(names)}), got {stage.dimension}"
-            )
-        column = names.index(stage.dimension)
+        column = self.columns(knowledge.space)[self.stages.index(stage)]
         action = knowledge.space.actions[column]
         values = action.low + candidates.situations[:, :, column] * (action.high - action.low)
         return ((values > stage.low) & (values <= stage.high)).double()

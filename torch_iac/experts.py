@@ -11,6 +11,7 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from torch_iac.counts import check_count
 from torch_iac.examples import NO_EXAMPLE_OUTCOME, Examples
 from torch_iac.networks import MLP, Factory, StackedNetworks, Training, pick, squared_error
 from torch_iac.randomness import RandomStream
@@ -86,8 +87,7 @@ class KNNExperts(Stateful):
     """How many neighbours are averaged."""
 
     def __post_init__(self) -> None:
-        if self.k < 1:
-            raise ValueError(f"k must be at least 1, got {self.k}")
+        check_count("k", self.k)
 
     def pool(
         self,
@@ -143,8 +143,7 @@ class NetworkTraining(Training):
         super().__post_init__()
         if self.children not in ("copy", "fresh"):
             raise ValueError(f"children must be copy or fresh, got {self.children}")
-        if self.fresh_minibatches < 0:
-            raise ValueError(f"fresh_minibatches must be at least 0, got {self.fresh_minibatches}")
+        check_count("fresh_minibatches", self.fresh_minibatches, least=0)
 
 
 @dataclass(frozen=True, kw_only=True)

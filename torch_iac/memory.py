@@ -10,7 +10,6 @@ from math import ceil
 from pathlib import Path
 
 import torch
-from torch import nn
 
 from torch_iac.config import IACConfig
 from torch_iac.experts import Experts, MLPExperts, NetworkExperts, NetworkTraining
@@ -71,6 +70,19 @@ class Need:
     def on_device(self) -> int:
         """All that is needed where the agents are."""
         return int(MARGIN * (self.tables + self.working + self.recorded))
+
+
+@dataclass(frozen=True)
+class _Network:
+    """How large a network is.
+
+    Attributes:
+        n_weights: How many weights it has.
+        n_units: How many numbers its layers make; of any module, how many biases it has.
+    """
+
+    n_weights: int
+    n_units: int
 
 
 def check_memory(
@@ -168,7 +180,7 @@ def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
     examples = (situation_dim + outcome_dim) * (config.max_examples + 1) * 4
     history = (config.delay + config.window + 1) * 8
     networks = sum(
-        _network_bytes(_module(experts, situation_dim, outcome_dim))
+        _network_bytes(_network(experts, situation_dim, outcome_dim))
         for experts in (config.experts, *config.shadows.values())
     )
     return examples + history + networks + NODE_BYTES
@@ -180,7 +192,7 @@ def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
     for training in (config.meta, config.improvement):
         if training is not None:
             n_bytes += (situation_dim + 1) * training.memory * 4
-            n_bytes += _network_bytes(MLP(training.hidden)(situation_dim * training.bins, 1))
+            n_bytes += _network_bytes(_mlp(training.hidden, situation_dim * training.bins, 1))
     return n_bytes
 
 
@@ -189,7 +201,7 @@ def _numbers_drawn(config: IACConfig, action_dim: int, n_agents: int) -> list[in
     needed = [2 + config.n_candidates * action_dim]
     for part in (config.experts, *config.shadows.values(), config.meta, config.improvement):
         if isinstance(part, Training):
-            needed.append(part.minibatches * part.minibatch_size)
+            needed.append(_n_minibatches(part) * part.minibatch_size)
     return [n_agents * n * block_size(n_agents, n) for n in needed]
 
 
@@ -199,50 +211,59 @@ def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]
     yield CUT_BYTES * dim * n_examples  # all agents' first cuts fall on the same decision
     yield config.n_candidates * (3 * dim * 4 + CANDIDATE_BYTES)
     for experts in (config.experts, *config.shadows.values()):
-        module = _module(experts, dim, len(space.outcomes))
-        if module is not None and isinstance(experts, NetworkTraining):
-            yield _training_bytes(module, experts, dim)
+        network = _network(experts, dim, len(space.outcomes))
+        if network is not None and isinstance(experts, NetworkTraining):
+            yield _training_bytes(network, experts, dim)
     for training in (config.meta, config.improvement):
         if training is not None:
             n_inputs = dim * training.bins
-            module = MLP(training.hidden)(n_inputs, 1)
-            yield _training_bytes(module, training, dim + n_inputs)
-            yield config.n_candidates * 4 * (n_inputs + 2 * _n_units(module))
+            network = _mlp(training.hidden, n_inputs, 1)
+            yield _training_bytes(network, training, dim + n_inputs)
+            yield config.n_candidates * 4 * (n_inputs + 2 * network.n_units)
 
 
-def _module(experts: Experts, situation_dim: int, outcome_dim: int) -> nn.Module | None:
-    """Return a network of a kind of experts; None of those that are no networks."""
-    with torch.random.fork_rng(devices=[]):
-        if isinstance(experts, MLPExperts):
-            return MLP(experts.hidden)(situation_dim, outcome_dim)
-        if isinstance(experts, NetworkExperts):
-            return experts.module(situation_dim, outcome_dim)
+def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network | None:
+    """Return how large a network of a kind of experts is; None of those that are no networks."""
+    if isinstance(experts, MLPExperts):
+        return _mlp(experts.hidden, situation_dim, outcome_dim)
+    if isinstance(experts, NetworkExperts):
+        with torch.random.fork_rng(devices=[]):
+            parameters = list(experts.module(situation_dim, outcome_dim).parameters())
+        return _Network(
+            n_weights=sum(weights.numel() for weights in parameters),
+            n_units=sum(weights.numel() for weights in parameters if weights.ndim == 1),
+        )
     return None
 
 
-def _network_bytes(module: nn.Module | None) -> int:
+def _mlp(hidden: tuple[int, ...], n_inputs: int, n_outputs: int) -> _Network:
+    """Return how large a multi-layer perceptron is, without making what may be far too large."""
+    sizes = MLP(hidden).sizes(n_inputs, n_outputs)
+    n_weights = sum((n_in + 1) * n_out for n_in, n_out in sizes)
+    return _Network(n_weights, sum(n_out for _, n_out in sizes))
+
+
+def _network_bytes(network: _Network | None) -> int:
     """Return what a network takes: its weights, and twice as much that the optimiser remembers."""
-    return 0 if module is None else 3 * 4 * _n_weights(module)
+    return 0 if network is None else 3 * 4 * network.n_weights
 
 
-def _training_bytes(module: nn.Module, training: Training, n_inputs: int) -> int:
+def _n_minibatches(training: Training) -> int:
+    """Return how many minibatches are picked at once, at most."""
+    if isinstance(training, NetworkTraining) and training.children == "fresh":
+        return max(training.minibatches, training.fresh_minibatches)
+    return training.minibatches
+
+
+def _training_bytes(network: _Network, training: Training, n_inputs: int) -> int:
     """Return what a network takes for a moment while it learns.
 
     All minibatches of a decision are picked at once; each layer keeps what it made and its
     gradient; weights, gradient and memory are copied, and copied again by a step.
     """
-    picked = training.minibatches * training.minibatch_size * (8 + 4 * n_inputs)
-    layers = 4 * 4 * training.minibatch_size * _n_units(module)
-    return picked + layers + 8 * 4 * _n_weights(module)
-
-
-def _n_weights(module: nn.Module) -> int:
-    return sum(parameter.numel() for parameter in module.parameters())
-
-
-def _n_units(module: nn.Module) -> int:
-    """Return how many numbers the layers of a network make, going by their biases."""
-    return sum(parameter.numel() for parameter in module.parameters() if parameter.ndim == 1)
+    picked = _n_minibatches(training) * training.minibatch_size * (8 + 4 * n_inputs)
+    layers = 4 * 4 * training.minibatch_size * network.n_units
+    return picked + layers + 8 * 4 * network.n_weights
 
 
 def _free_of_machine() -> Iterator[int]:

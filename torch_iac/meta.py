@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_iac.counts import check_count
 from torch_iac.networks import MLP, Loss, StackedNetworks, Training, pick, squared_error
 from torch_iac.randomness import RandomStream
 from torch_iac.state import Stateful
@@ -35,8 +36,7 @@ class RecentTraining(Training):
         super().__post_init__()
         MLP(self.hidden)
         for name in ("memory", "bins"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            check_count(name, getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
+from torch_iac.counts import check_count
 from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
@@ -31,6 +32,9 @@ Weights = dict[str, Tensor]
 ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.Tanh, nn.Sigmoid)
 """Layers that do the same to every number, whatever the shape around it."""
 
+
+MOST_RATE = 1e38
+"""Float32 holds no larger step size."""
 
 TINY = 1e-18
 """Added to gradients, far below what changes anything: the optimiser's memory of a unit that has
@@ -51,14 +55,19 @@ class MLP:
     def __post_init__(self) -> None:
         if any(units < 1 for units in self.hidden):
             raise ValueError(f"hidden must be at least 1 unit a layer, got {self.hidden}")
+        for units in self.hidden:
+            check_count("hidden", units)
 
     def __call__(self, n_inputs: int, n_outputs: int) -> nn.Module:
         """Return a new network."""
-        sizes = (n_inputs, *self.hidden)
         layers: list[nn.Module] = []
-        for n_in, n_out in pairwise(sizes):
+        for n_in, n_out in self.sizes(n_inputs, n_outputs):
             layers += [nn.Linear(n_in, n_out), nn.ReLU()]
-        return nn.Sequential(*layers, nn.Linear(sizes[-1], n_outputs))
+        return nn.Sequential(*layers[:-1])
+
+    def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
+        """Return how many numbers go into each layer, and how many come out."""
+        return list(pairwise((n_inputs, *self.hidden, n_outputs)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +86,12 @@ class Training:
     def __post_init__(self) -> None:
         if not 0 < self.learning_rate < math.inf:
             raise ValueError(f"learning_rate must be above 0, got {self.learning_rate}")
+        if self.learning_rate > MOST_RATE:
+            raise ValueError(
+                f"learning_rate must be at most {MOST_RATE:g}, got {self.learning_rate}"
+            )
         for name in ("minibatches", "minibatch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            check_count(name, getattr(self, name))
         if self.optimizer not in ("adam", "sgd"):
             raise ValueError(f"optimizer must be adam or sgd, got {self.optimizer}")
 

@@ -218,8 +218,8 @@ class Recorder:
         if (zones is not None) != self._rows.has_zones:
             raise ValueError("record needs zones if, and only if, the recorder has zone_names")
         on_device = None if zones is None else torch.as_tensor(zones, device=step.errors.device)
+        self._tally.add(on_device, _tallied_values(step))  # which refuses a zone that is none
         self._rows.add(step, on_device)
-        self._tally.add(on_device, _tallied_values(step))
         if self._first_decision < 0:
             self._first_decision = step.number
         n_decisions = step.number + 1

@@ -21,13 +21,17 @@ every difference is exact in float32, and sums are exact in float64, in whatever
 OUTSIDE_TOLERANCE = 1e-3
 """How far outside its bounds a sensor may read, as a share of its range; then it is clipped."""
 
+MOST_BOUND, LEAST_SPAN, LEAST_SHARE = 1e30, 1e-30, 2.0**-20
+"""The largest bound, and how narrow a range may be, in raw units and as a share of its larger
+bound: beyond, float32 overflows, or tells only a few values in the range apart."""
+
 
 @dataclass(frozen=True)
 class Dimension:
     """One wire of the robot: its name and its bounds in raw units.
 
     Raises:
-        ValueError: The bounds are not finite or not in order.
+        ValueError: The bounds are not finite, not in order, or too large or too close for float32.
     """
 
     name: str
@@ -35,10 +39,14 @@ class Dimension:
     high: float
 
     def __post_init__(self) -> None:
+        bounds = f"[{self.low}, {self.high}]"
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(f"the bounds of {self.name} must be finite and in order, got {bounds}")
+        largest, span = max(abs(self.low), abs(self.high)), self.high - self.low
+        if largest > MOST_BOUND or span < max(LEAST_SPAN, largest * LEAST_SHARE):
             raise ValueError(
-                f"the bounds of {self.name} must be finite and in order, "
-                f"got [{self.low}, {self.high}]"
+                f"the bounds of {self.name} must be numbers that float32 holds well apart, "
+                f"got {bounds}"
             )
 
 
@@ -127,7 +135,8 @@ class SensorimotorSpace:
             outcomes: The names of the sensors to predict, or "all".
 
         Raises:
-            ValueError: A space is not a bounded, flat box, or an outcome is no sensor.
+            ValueError: A space is not a bounded, flat box, actions are whole numbers, or an outcome
+                is no sensor.
         """
         actions = _dimensions(env, "action")
         sensors = _dimensions(env, "observation")
@@ -178,8 +187,12 @@ def _dimensions(
     box = getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
     if not isinstance(box, gym.spaces.Box) or len(box.shape) != 1:
         raise ValueError(f"the {kind} space must be a flat Box, got {box}")
-    names = env.metadata.get("action_names" if kind == "action" else "sensor_names")
-    names = names or [str(i) for i in range(box.shape[0])]
+    if kind == "action" and not np.issubdtype(box.dtype, np.floating):
+        raise ValueError(f"the action space must be of real numbers, got {box}")
+    key = "action_names" if kind == "action" else "sensor_names"
+    names = env.metadata.get(key) or [str(i) for i in range(box.shape[0])]
+    if len(names) != box.shape[0]:
+        raise ValueError(f"{key} must name {box.shape[0]} dimensions, got {tuple(names)}")
     if not np.isfinite(box.low).all() or not np.isfinite(box.high).all():
         raise ValueError(f"the {kind} space must have finite bounds, got {box}")
     bounds = zip(names, box.low.tolist(), box.high.tolist(), strict=True)

@@ -71,7 +71,13 @@ class RunningTally:
         Args:
             zones: Shape `(A,)`, where each was; None in a world without zones.
             values: What each column gets, shape `(A,)`, all on one device.
+
+        Raises:
+            ValueError: There is no such zone. On a GPU, which would make the loop wait, nobody
+                looks.
         """
+        if zones is not None and zones.device.type == "cpu":
+            self._check(zones)
         if self._sums.device != values[0].device:
             self._move(values[0].device)
         cells = self._first_cells if zones is None else self._first_cells + zones
@@ -95,6 +101,12 @@ class RunningTally:
     def load_state(self, state: Tensor) -> None:
         """Go on from what `state` returned."""
         self._sums.copy_(state)
+
+    def _check(self, zones: Tensor) -> None:
+        least, most = (int(bound) for bound in zones.aminmax())
+        if least < 0 or most >= self._n_zones:
+            wrong = least if least < 0 else most
+            raise ValueError(f"a zone must lie in [0, {self._n_zones - 1}], got {wrong}")
 
     def _move(self, device: torch.device) -> None:
         self._first_cells, self._sums, self._ones = (

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torch_iac_envs import room as layout
 from torch_iac_envs.randomness import normal, pack_seeds, uniform
-from torch_iac_envs.room import Room, check_at_least
+from torch_iac_envs.room import Room, check_argument
 
 SLICE = 0.025  # s that the robot's motion is advanced by; a decision is a whole number of them
 WALL_FRICTION = 0.1  # of the chassis on a wall
@@ -76,10 +76,10 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         device: str | torch.device = "cpu",
         check_actions: bool = True,
     ) -> None:
-        check_at_least("num_envs", num_envs, 1)
-        check_at_least("beams", beams, 0)
-        check_at_least("sensor_noise", sensor_noise, 0)
-        check_at_least("actuator_noise", actuator_noise, 0)
+        check_argument("num_envs", num_envs, 1)
+        check_argument("beams", beams, 0)
+        check_argument("sensor_noise", sensor_noise, 0)
+        check_argument("actuator_noise", actuator_noise, 0)
         self.num_envs = num_envs
         self.device = torch.device(device)
         self._toy_direction = toy_direction

@@ -96,7 +96,13 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-def check_at_least(name: str, value: float, least: float) -> None:
-    """Refuse an argument that is less than it may be, infinite or not a number."""
+MOST = {"beams": 10_000, "sensor_noise": 1000.0, "actuator_noise": 1000.0, "substeps": 1000}
+"""How large arguments of a world may be: far beyond any use, and before an engine gives up."""
+
+
+def check_argument(name: str, value: float, least: float) -> None:
+    """Refuse an argument that is smaller or larger than it may be, or not a number."""
     if not least <= value < float("inf"):
         raise ValueError(f"{name} must be at least {least} and finite, got {value}")
+    if value > MOST.get(name, float("inf")):
+        raise ValueError(f"{name} must be at most {MOST[name]}, got {value}")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from torch_iac_envs import room as layout
 from torch_iac_envs.physics import Command, Physics, Vector, resting_state
-from torch_iac_envs.room import Room, check_at_least, zone_of
+from torch_iac_envs.room import Room, check_argument, zone_of
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
@@ -73,11 +73,11 @@ class ToyRoom(gym.Env[Observation, Action]):
         substeps: int = 8,
     ) -> None:
         _check_render_mode(render_mode)
-        check_at_least("beams", beams, 0)
-        check_at_least("sensor_noise", sensor_noise, 0)
-        check_at_least("actuator_noise", actuator_noise, 0)
-        check_at_least("keyframe_every", keyframe_every, 1)
-        check_at_least("substeps", substeps, 1)
+        check_argument("beams", beams, 0)
+        check_argument("sensor_noise", sensor_noise, 0)
+        check_argument("actuator_noise", actuator_noise, 0)
+        check_argument("keyframe_every", keyframe_every, 1)
+        check_argument("substeps", substeps, 1)
         self.render_mode = render_mode
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
