@@ -324,7 +324,12 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "some"), [("train", {"--preset", "--epsilon", "--k"}), ("figures", {"--pdf"})]
+    ("command", "some"),
+    [
+        ("train", {"--preset", "--epsilon", "--k"}),
+        ("figures", {"--pdf"}),
+        ("compare", {"--variant", "--ray"}),
+    ],
 )
 def test_help_explains_every_option(command: str, some: set[str]) -> None:
     answer = typed(command, "--help")
@@ -334,7 +339,7 @@ def test_help_explains_every_option(command: str, some: set[str]) -> None:
     options = re.split(r" (?=--[a-z])(?<!, )", text)[1:]
     assert {option.split(" ")[0].rstrip(",") for option in options} >= some
     for option in options:
-        assert re.search(r"[A-Z][^()]*[a-z].*\. \(default: ", option), option
+        assert re.search(r"[A-Z][^()]*[a-z].*\. \((default: |repeatable)", option), option
 
 
 def test_help_shows_the_presets_numbers() -> None:

@@ -1,12 +1,14 @@
 """The command `torch-iac`."""
 
+import io
 import logging
+import os
 import platform
 import signal
 import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from importlib.metadata import version
@@ -25,6 +27,16 @@ import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC, available_device
 from torch_iac.checkpoint import Checkpoints, identity
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.comparison import (
+    PLAN,
+    Comparison,
+    Job,
+    Variant,
+    load_comparison,
+    part_of,
+    read_variants,
+    tally_states,
+)
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.counts import check_count
 from torch_iac.drives import (
@@ -45,9 +57,11 @@ from torch_iac.memory import check_memory
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
+from torch_iac.report import save_report
 from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import CHECKPOINT_EVERY, World, train
+from torch_iac.workers import carry_out, on_processes, on_ray
 
 WORLDS = {
     "toyroom": "torch_iac_envs/ToyRoom-v0",
@@ -222,6 +236,11 @@ class Train:
         save_figures(out)
         print(_report(load_run(out)))  # noqa: T201 - the command's answer
 
+    def check(self, elsewhere: bool = False) -> None:
+        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
+        device = torch.device("cpu") if elsewhere else _device(self.device)
+        self._space(_options(self.world_options), device)
+
     def _develop(
         self, agent: IAC, env: World, recorder: Recorder, options: Mapping[str, Any]
     ) -> None:
@@ -234,7 +253,8 @@ class Train:
                 if not train(
                     agent, env, self.steps, recorder, saved, checkpoint_every=every, stop=stop
                 ):
-                    raise StoppedError(stop.signals[0], agent.n_decisions, out)
+                    where = f"stopped after decision {agent.n_decisions}"
+                    raise StoppedError(stop.signals[0], f"{where}; {_how_to_go_on(out)}")
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"interrupted; {_how_to_go_on(out)}") from None
         except OSError as error:
@@ -305,6 +325,139 @@ class Resume:
 
 
 @dataclass(frozen=True)
+class Compare:
+    """Let robots of several variants develop, seed by seed, and report how they differ.
+
+    Words after -- are options of torch-iac train for all runs. The same command, or just the
+    folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
+    """
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The folder of all the runs and of the report."""
+    variant: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
+    first is what others are compared with."""
+    variants: Path | None = None
+    """A JSON file with variants: under each name its words, as a list or as one text."""
+    seeds: int | None = None
+    """How many robots of each variant; by default as many as before, at first 10."""
+    seed: int | None = None
+    """Seed of the first robot; each further one has the next. By default as before, at first 0."""
+    block: int | None = None
+    """How many robots of a variant are one run, as a population (for the kinematic world); by
+    default as before, at first 1."""
+    processes: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """How many runs go on at once on this machine; by default one for each core."""
+    ray: str | None = None
+    """The address of a Ray cluster that shall carry the runs out instead, or auto."""
+    gpus: float = 0.0
+    """Which part of a GPU each run gets on Ray."""
+    only: str | None = None
+    """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
+
+    report: bool = False
+    """Only report on what has ended."""
+
+    def run(self, words: Sequence[str]) -> None:
+        """Carry the command out; `words` are options for all runs."""
+        comparison = self._comparison(words)
+        if not self.report:
+            self._carry_out(comparison)
+        self._answer(comparison)
+
+    def _carry_out(self, comparison: Comparison) -> None:
+        """Carry out the runs that are not done."""
+        jobs = comparison.jobs()
+        sizes = self._sizes(jobs)
+        open_jobs = [job for job in self._part(jobs) if job.state != "done"]
+        if self.ray is None:
+            crew = on_processes(open_jobs, go_on, self.processes)
+        else:
+            crew = on_ray(open_jobs, go_on, self.ray, self.gpus)
+        comparison.save()
+        with _stopping() as stop:
+            is_over = carry_out({job: sizes[job] for job in open_jobs}, crew, stop)
+        if not is_over:
+            raise StoppedError(
+                stop.signals[0], f"stopped; go on with: torch-iac compare {self.folder}"
+            )
+
+    def _answer(self, comparison: Comparison) -> None:
+        """Report, and say where, and which runs failed."""
+        mine = self._part(comparison.jobs())
+        lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {tally_states(mine)}."]
+        if self.only is None and any(job.state == "done" for job in mine):
+            lines.append(f"Read {save_report(comparison)}, or: tensorboard --logdir {self.folder}")
+        print("\n".join(lines))  # noqa: T201 - the command's answer
+        failed = [job for job in mine if job.state == "failed"]
+        if failed:
+            _exit(1, "\n".join(f"{job.name} failed: {job.reason}" for job in failed))
+
+    def _part(self, jobs: Sequence[Job]) -> Sequence[Job]:
+        """Return the runs that this command is about."""
+        return part_of(jobs, self.only) if self.only else jobs
+
+    def _comparison(self, words: Sequence[str]) -> Comparison:
+        """Return what the folder holds, if anything, and what is asked for besides."""
+        if self.processes < 1:
+            raise ValueError(f"processes must be at least 1, got {self.processes}")
+        given = read_variants(self.variants) if self.variants else ()
+        given += tuple(Variant.from_text(text) for text in self.variant)
+        numbers = {"n_seeds": self.seeds, "seed": self.seed, "block": self.block}
+        folder = self.folder.absolute()  # where the workers are, another may be the present one
+        if (folder / PLAN).exists():
+            return load_comparison(folder).grown(given, words, **numbers)
+        asked = {name: number for name, number in numbers.items() if number is not None}
+        return Comparison(folder, given, tuple(words), **asked)
+
+    def _sizes(self, jobs: Sequence[Job]) -> dict[Job, int]:
+        """Return how many decisions the robots of each run take together, if all can be run.
+
+        Raises:
+            ValueError: One cannot; the message names its variant.
+        """
+        steps = {}
+        for job in {job.variant: job for job in jobs}.values():
+            try:
+                settings = _settings_of(list(job.words[1:]))
+                settings.check(elsewhere=self.ray is not None)
+            except (ValueError, gym.error.Error) as error:
+                raise ValueError(f"variant {job.variant}: {error}") from None
+            steps[job.variant] = settings.steps
+        for job in jobs:
+            job.check()
+        return {job: steps[job.variant] * len(job.seeds) for job in jobs}
+
+
+def go_on(words: Sequence[str], folder: Path) -> None:
+    """Begin a run of a comparison, or go on with it if it has begun.
+
+    Raises:
+        KeyboardInterrupt: It was asked to stop, and has saved itself.
+    """
+    settings = _settings_of(list(words[1:]))
+    try:
+        settings.live(folder, words, resume=folder.exists())
+    except StoppedError as stopped:
+        raise KeyboardInterrupt(str(stopped)) from None
+
+
+def _settings_of(arguments: Sequence[str]) -> Train:
+    """Return what `torch-iac train` makes of its options.
+
+    Raises:
+        ValueError: They are refused.
+    """
+    try:
+        with redirect_stdout(io.StringIO()):
+            settings = _parsed(arguments)
+    except SystemExit:
+        raise ValueError("words must be options of torch-iac train, got --help") from None
+    assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
+    return settings
+
+
+@dataclass(frozen=True)
 class Figures:
     """Draw figures 2 and 3 of the paper for a run, into its folder."""
 
@@ -334,6 +487,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         command = _parsed(arguments)
         if isinstance(command, Train):
             command.run(["torch-iac", *arguments])
+        elif isinstance(command, Compare):
+            command.run(_split(arguments)[1])
         else:
             command.run()
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
@@ -357,8 +512,15 @@ def _sentence(error: Exception) -> str:
     return " ".join(text.split())
 
 
+def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return what stands before -- and what stands after it."""
+    words = list(arguments)
+    place = words.index("--") if "--" in words else len(words)
+    return words[:place], words[place + 1 :]
+
+
 @plain_refusals()
-def _parsed(arguments: Sequence[str]) -> Train | Resume | Figures:
+def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
         return tyro.cli(
@@ -370,11 +532,15 @@ def _parsed(arguments: Sequence[str]) -> Train | Resume | Figures:
         )
     if arguments[:1] == ["resume"]:
         return tyro.cli(Resume, prog="torch-iac resume", args=arguments[1:], config=settings)
+    if arguments[:1] == ["compare"]:
+        own = _split(arguments)[0][1:]
+        return tyro.cli(Compare, prog="torch-iac compare", args=own, config=settings)
     if arguments[:1] == ["figures"]:
         return tyro.cli(Figures, prog="torch-iac figures", args=arguments[1:], config=settings)
     return tyro.cli(  # says which commands there are
         Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Resume, tyro.conf.subcommand("resume")]
+        | Annotated[Compare, tyro.conf.subcommand("compare")]
         | Annotated[Figures, tyro.conf.subcommand("figures")],
         prog="torch-iac",
         description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
@@ -452,10 +618,10 @@ def _options(pairs: Sequence[str]) -> dict[str, Any]:
 
 
 class StoppedError(Exception):
-    """A run was asked to stop, and did so after a decision."""
+    """A command was asked to stop, and did so; the sentence says how to go on."""
 
-    def __init__(self, number: int, n_decisions: int, folder: Path) -> None:
-        super().__init__(f"stopped after decision {n_decisions}; {_how_to_go_on(folder)}")
+    def __init__(self, number: int, sentence: str) -> None:
+        super().__init__(sentence)
         self.signal = number
 
 

@@ -194,7 +194,7 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
         figure = Figure(figsize=WIDE if run.zone_names else SIZE, layout="constrained")
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel in panels:
-            _time_axis(panel, run.n_decisions)
+            time_axis(panel, run.n_decisions)
         for place, column in enumerate(run.error_columns.values()):
             errors = zone_errors(run, column, window)  # (W, A, Z)
             middles = (np.arange(len(errors)) + 0.5) * window
@@ -270,13 +270,14 @@ def _axes(n_decisions: int) -> tuple[Figure, Axes]:
     """Return a figure of one column, with time along the horizontal axis."""
     figure = Figure(figsize=SIZE, layout="constrained")
     axes = figure.subplots()
-    _time_axis(axes, n_decisions)
+    time_axis(axes, n_decisions)
     return figure, axes
 
 
-def _time_axis(axes: Axes, n_decisions: int) -> None:
+def time_axis(axes: Axes, n_decisions: int, n_ticks: int = 5) -> None:
+    """Let a panel's horizontal axis be time."""
     axes.set_xlim(0, n_decisions)
-    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10], integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(n_ticks, steps=[1, 2, 5, 10], integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.set_xlabel("Decisions")
 
