@@ -160,8 +160,10 @@ def test_a_run_can_go_on_beyond_its_end(small: Path, tmp_path: Path) -> None:
     words = begin(small, folder)
     words[words.index("--steps") + 1] = "50"
     main(words)
-    with pytest.raises(SystemExit):
-        main(["resume", str(folder)])
+    for words in ([], ["--steps", "50"], ["--steps", "0"]):
+        with pytest.raises(SystemExit) as end:
+            main(["resume", str(folder), *words])
+        assert end.value.code == 2
     main(["resume", str(folder), "--steps", str(N_DECISIONS)])
     check_same(folder, small)
     assert load_run(folder).config["steps"] == N_DECISIONS

@@ -62,7 +62,7 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("half a fi", r"config.json cannot be read: Expecting value"),
+        ("half a fi", "config.json cannot be read: JSON must be whole and strict"),
         ('{"seeds": [0]}', "config.json must be the config of a run, but it has no space"),
     ],
 )

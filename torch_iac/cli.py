@@ -307,6 +307,10 @@ class Resume:
     steps: int | None = None
     """How many decisions each robot takes in all; by default as many as when the run began."""
 
+    def __post_init__(self) -> None:
+        if self.steps is not None:
+            check_count("steps", self.steps)
+
     def run(self) -> None:
         """Carry the command out."""
         run = load_run(self.run_folder)
