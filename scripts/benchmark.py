@@ -144,7 +144,7 @@ def measure_robot(
             steps.append(agent.observe(sensors))
     env.close()
     if with_oracle:
-        live_again(iac.IAC(space, config, seeds=[benchmark.seed]), steps, stopwatch)
+        follow_itself(iac.IAC(space, config, seeds=[benchmark.seed]), steps, stopwatch)
         follow(oracle_of(config), space, steps, config.n_candidates, stopwatch)
     rows: dict[str, tuple[str, ...]] = {f"{name}: act and observe": ("act", "observe")}
     if with_oracle:
@@ -155,7 +155,7 @@ def measure_robot(
         print(f"| {row} | {n_decisions:,} | {np.median(times):.3f} | {times.mean():.3f} |")
 
 
-def live_again(agent: iac.IAC, steps: Sequence[iac.Step], stopwatch: Stopwatch) -> None:
+def follow_itself(agent: iac.IAC, steps: Sequence[iac.Step], stopwatch: Stopwatch) -> None:
     """Let a robot of the same seed sense the same, and so do the same, with nothing in between."""
     before = [step.sensors.numpy() for step in steps]
     for sensors, after in pairwise(before):
@@ -191,11 +191,9 @@ def measure_population(kind: str, n_agents: int, benchmark: Benchmark) -> None:
     agent = iac.IAC(space, config, range(n_agents), device)
     half = benchmark.population_steps // 2
     sensors, _ = env.reset(seed=0)
-    sensors = live(agent, env, sensors, half)
-    with_world, sensors = timed(device, lambda: live(agent, env, sensors, half))
-    actions = torch.rand(n_agents, 3, device=device)
-    world, _ = timed(device, lambda: [env.step(actions) for _ in range(half)])
-    alone = with_world - world
+    seen = live(agent, env, sensors, half)
+    with_world, seen = timed(device, lambda: live(agent, env, seen[-1], half))
+    alone, _ = timed(device, lambda: live_again(agent, seen))
     floor = knn_floor(space, n_agents, device) if kind == "knn" else mlp_floor(n_agents, device)
     print(
         f"| {kind} | {n_agents:,} | {half * n_agents / alone:,.0f} "
@@ -209,12 +207,21 @@ def measure_population(kind: str, n_agents: int, benchmark: Benchmark) -> None:
 
 def live(
     agent: iac.IAC, env: gym.vector.VectorEnv[Any, Any, Any], sensors: Tensor, n_decisions: int
-) -> Tensor:
-    """Let a population live in its world and return what it senses in the end."""
+) -> list[Tensor]:
+    """Let a population live in its world and return what it sensed, from the first to the last."""
+    seen = [sensors]
     for _ in range(n_decisions):
         sensors, *_ = env.step(agent.act(sensors))
         agent.observe(sensors)
-    return sensors
+        seen.append(sensors)
+    return seen
+
+
+def live_again(agent: iac.IAC, seen: Sequence[Tensor]) -> None:
+    """Let a population decide on what was sensed before, whatever it does."""
+    for before, after in pairwise(seen):
+        agent.act(before)
+        agent.observe(after)
 
 
 def timed(device: torch.device, work: Callable[[], Any]) -> tuple[float, Any]:
