@@ -66,7 +66,7 @@ def main(study: Study) -> None:
 def robots_of(folder: Path, seeds: range, n_steps: int, processes: int) -> list[Run]:
     """Return the runs of robots with these seeds; those that are not there yet are run."""
     config = IACConfig(meta=MetaPredictor())
-    lives = [Life(folder / f"seed-{seed:03d}", config, seed, n_steps) for seed in seeds]
+    lives = [Life(folder / f"seed-{seed:03d}", config, (seed,), n_steps) for seed in seeds]
     return live_all(lives, processes)
 
 

@@ -62,7 +62,7 @@ def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
     variants = {name: VARIANTS[name] for name in study.only or VARIANTS}
     lives = [
-        Life(study.out / name.replace(" ", "-") / f"seed-{seed:03d}", config, seed, study.steps)
+        Life(study.out / name.replace(" ", "-") / f"seed-{seed:03d}", config, (seed,), study.steps)
         for name, config in variants.items()
         for seed in range(study.seeds)
     ]

@@ -18,17 +18,15 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import product
 from pathlib import Path
 
 import tyro
-from safetensors.numpy import load_file
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tqdm import tqdm
 
-from torch_iac.cli import CHECKPOINTS, DRIVES
-from torch_iac.runs import load_run
+from tests.same_run import differences
+from torch_iac.cli import DRIVES
+from torch_iac.runs import CHECKPOINTS
 
 WORLDS = {"toyroom": ("--agents", "1"), "kinematic": ("--agents", "2")}
 EXPERTS = ("knn", "mlp")
@@ -136,45 +134,6 @@ def interrupted(folder: Path) -> set[str]:
     if any(folder.glob("*/.part-*.tmp")) or any(folder.glob(".*.tmp")):
         found.add("a part")
     return found
-
-
-def differences(one: Path, other: Path) -> list[str]:
-    """Return in what two runs differ."""
-    found = []
-    first, second = contents(one), contents(other)
-    for name in first.keys() | second.keys():
-        if first.get(name) != second.get(name):
-            found.append(name)
-    return sorted(found)
-
-
-def contents(folder: Path) -> dict[str, object]:
-    """Return what a run has come to, to be compared."""
-    run = load_run(folder)
-    found: dict[str, object] = {"steps": run.steps, "regions": run.regions}
-    summary = dict(run.summary)
-    for of_time in ("seconds", "decisions_per_second"):
-        del summary[of_time]
-    found["summary"] = summary
-    last = max((folder / CHECKPOINTS).glob("*/state.safetensors"))
-    found["what is known"] = agent_digest(last)
-    events = EventAccumulator(str(folder), size_guidance={"scalars": 0, "images": 0})
-    events.Reload()
-    for tag in events.Tags()["scalars"]:
-        found[f"TensorBoard {tag}"] = [(e.step, e.value) for e in events.Scalars(tag)]
-    for tag in events.Tags()["images"]:
-        found[f"TensorBoard {tag}"] = [(e.step, e.encoded_image_string) for e in events.Images(tag)]
-    return found
-
-
-def agent_digest(path: Path) -> str:
-    """Return a digest of the tensors of the agents and of the world in a checkpoint."""
-    digest = sha256()
-    for name, tensor in sorted(load_file(path).items()):
-        if name.startswith(("agent/", "world/")):
-            digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())
-            digest.update(tensor.tobytes())
-    return digest.hexdigest()
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import tyro
 from numpy.typing import NDArray
@@ -21,9 +20,8 @@ from scipy.stats import bootstrap
 
 import torch_iac as iac
 from scripts.development import robots_of
-from torch_iac.recording import Recorder
+from scripts.study import Life, live
 from torch_iac.runs import Run, load_run
-from torch_iac.training import train
 
 WORLD = "torch_iac_envs/ToyRoomKinematic-v0"
 
@@ -71,14 +69,8 @@ def main(study: Study) -> None:
 
 def population(study: Study, seeds: range) -> Run:
     """Let the robots develop in the kinematic room, unless they did already."""
-    if not (study.kinematic / "summary.json").exists():
-        env = gym.make_vec(WORLD, num_envs=len(seeds))
-        space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-        config = iac.IACConfig(meta=iac.MetaPredictor())
-        agent = iac.IAC(space, config, seeds=seeds)
-        described = {"iac": config.to_json(), "world": {"id": WORLD}}
-        with Recorder(study.kinematic, agent, env.metadata["zone_names"], described) as recorder:
-            train(agent, env, study.steps, recorder)
+    config = iac.IACConfig(meta=iac.MetaPredictor())
+    live(Life(study.kinematic, config, seeds, study.steps, WORLD))
     return load_run(study.kinematic)
 
 

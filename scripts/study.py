@@ -1,6 +1,6 @@
-"""What the studies share: robots that develop in the toy room, several at once, each kept."""
+"""What the studies share: robots that develop in a toy room, several runs at once, each kept."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,23 +20,24 @@ WORLD = "torch_iac_envs/ToyRoom-v0"
 
 @dataclass(frozen=True)
 class Life:
-    """One robot's run: its numbers, its seed, and where it is kept."""
+    """A run: where it is kept, its numbers, each robot's seed, how long, and in which world."""
 
     folder: Path
     config: iac.IACConfig
-    seed: int
+    seeds: Sequence[int]
     n_decisions: int
+    world: str = WORLD
 
 
 def live(life: Life) -> None:
-    """Let one robot develop in the toy room, unless its run is there already."""
+    """Let its robots develop, unless the run is there already."""
     if (life.folder / "summary.json").exists():
         return
     torch.set_num_threads(1)
-    env = gym.make_vec(WORLD, num_envs=1)
+    env = gym.make_vec(life.world, num_envs=len(life.seeds))
     space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    agent = iac.IAC(space, life.config, seeds=[life.seed])
-    described = {"iac": life.config.to_json(), "world": {"id": WORLD}}
+    agent = iac.IAC(space, life.config, life.seeds)
+    described = {"iac": life.config.to_json(), "world": {"id": life.world}}
     with Recorder(life.folder, agent, env.metadata["zone_names"], described) as recorder:
         train(agent, env, life.n_decisions, recorder)
     env.close()

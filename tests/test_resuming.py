@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from tests.same_run import differences
 from torch_iac import cli, training
 from torch_iac.checkpoint import Checkpoints
-from torch_iac.cli import CHECKPOINTS, main
-from torch_iac.runs import load_run
+from torch_iac.cli import main
+from torch_iac.runs import CHECKPOINTS, load_run
 
 N_DECISIONS = 90
 WORDS = [
@@ -75,31 +74,8 @@ def die_at(monkeypatch: pytest.MonkeyPatch, decision: int) -> None:
     monkeypatch.setattr(Recorder, "record", dies)
 
 
-def contents(folder: Path) -> dict[str, Any]:
-    """What a run has come to."""
-    run = load_run(folder)
-    summary = {name: v for name, v in run.summary.items() if "second" not in name}
-    last = max((folder / CHECKPOINTS).glob("*/state.safetensors"))
-    tensors = {
-        name: tensor.tobytes()
-        for name, tensor in load_file(last).items()
-        if name.startswith(("agent/", "world/"))
-    }
-    found = {"steps": run.steps, "regions": run.regions, "summary": summary, **tensors}
-    found["windows"] = run.windows.counts.tobytes() + run.windows.sums["error"].tobytes()
-    events = EventAccumulator(str(folder), size_guidance={"scalars": 0, "images": 0})
-    events.Reload()
-    for tag in events.Tags()["scalars"]:
-        found[tag] = [(event.step, event.value) for event in events.Scalars(tag)]
-    for tag in events.Tags()["images"]:
-        found[tag] = [(event.step, event.encoded_image_string) for event in events.Images(tag)]
-    return found
-
-
 def check_same(folder: Path, whole: Path) -> None:
-    ours, theirs = contents(folder), contents(whole)
-    assert ours.keys() == theirs.keys()
-    assert [name for name in ours if ours[name] != theirs[name]] == []
+    assert differences(folder, whole) == []
 
 
 @pytest.mark.parametrize("decision", [0, 7, 61])

@@ -58,7 +58,7 @@ from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
 from torch_iac.report import save_report
-from torch_iac.runs import SUMMARY, WINDOW, Run, load_run
+from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import CHECKPOINT_EVERY, World, train
 from torch_iac.workers import carry_out, on_processes, on_ray
@@ -119,9 +119,6 @@ THREADED_AGENTS = 32
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals that stop a run after the present decision."""
-
-CHECKPOINTS = "checkpoints"
-"""Where a run folder keeps them."""
 
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
 
@@ -317,8 +314,7 @@ class Resume:
         words = run.config.get("command")
         if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
             raise ValueError(f"{self.run_folder} must be a run of torch-iac train, got {words}")
-        settings = _parsed([str(word) for word in words[1:]])
-        assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
+        settings = _settings_of([str(word) for word in words[1:]])
         steps = self.steps or run.config["steps"]
         if (self.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
             raise ValueError(
@@ -403,8 +399,7 @@ class Compare:
 
     def _comparison(self, words: Sequence[str]) -> Comparison:
         """Return what the folder holds, if anything, and what is asked for besides."""
-        if self.processes < 1:
-            raise ValueError(f"processes must be at least 1, got {self.processes}")
+        check_count("processes", self.processes)
         given = read_variants(self.variants) if self.variants else ()
         given += tuple(Variant.from_text(text) for text in self.variant)
         numbers = {"n_seeds": self.seeds, "seed": self.seed, "block": self.block}

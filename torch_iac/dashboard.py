@@ -21,11 +21,8 @@ from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.agent import RegionSummary
 from torch_iac.regions import NONE, Genealogy
-from torch_iac.runs import by_decile, shadow_error
+from torch_iac.runs import EVENTS, by_decile, shadow_error
 from torch_iac.tallies import Tally
-
-EVENTS = "events.out.tfevents.*"
-"""What TensorBoard's files are called."""
 
 N_REGIONS_SHOWN = 200
 """TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""

@@ -11,7 +11,7 @@ import numpy as np
 from torch_iac.comparison import Comparison
 from torch_iac.intervals import Estimate, difference, mean, probability_larger
 from torch_iac.measures import FOCUS_SHARES, SETTLING
-from torch_iac.runs import MAIN, Run
+from torch_iac.runs import MAIN, Run, shadow_error
 
 Better = Literal["lower", "higher"]
 
@@ -71,27 +71,15 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
     """Return what can be measured of each robot of some runs."""
     zones = _names(run.zone_names for run in runs)
     shadows = _names(run.shadow_names for run in runs)
-    late, settled = f"in the last {SETTLING:,} decisions", f"after the first {SETTLING:,} decisions"
+    settled = f"after the first {SETTLING:,} decisions"
     return [
-        Measure("error", "error", f"error {late}", "lower", ("errors", MAIN, "mean")),
+        _late_error("error", "error", "errors", MAIN, "mean"),
         *(
-            Measure(
-                f"error/{zone}",
-                title := f"error in {zone}",
-                f"{title} {late}",
-                "lower",
-                ("late_zone_errors", zone),
-            )
+            _late_error(f"error/{zone}", f"error in {zone}", "late_zone_errors", zone)
             for zone in zones
         ),
         *(
-            Measure(
-                f"shadow/{name}/error",
-                title := f"error of shadow {name}",
-                f"{title} {late}",
-                "lower",
-                ("errors", name, "mean"),
-            )
+            _late_error(shadow_error(name), f"error of shadow {name}", "errors", name, "mean")
             for name in shadows
         ),
         *(
@@ -117,6 +105,11 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
         ),
         Measure("n_regions", "regions", "number of regions", None, ("n_regions",)),
     ]
+
+
+def _late_error(name: str, title: str, *path: str) -> Measure:
+    label = f"{title} in the last {SETTLING:,} decisions"
+    return Measure(name, title, label, "lower", path)
 
 
 def measure_rows(

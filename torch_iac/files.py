@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 MOST_NESTED = 100
 """How deep JSON may be nested, far below where Python gives up."""
 
@@ -20,6 +23,16 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
     sync(temporary)
     temporary.replace(path)
     sync_names(path.parent)
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file as `replace` does."""
+    # Dictionaries make floats slower to write and larger.
+    few = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
+    replace(
+        path,
+        lambda to: pq.write_table(table, to, use_dictionary=few, compression="zstd"),
+    )
 
 
 def sync(path: Path) -> None:

@@ -33,7 +33,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import (
 )
 from torch.utils.tensorboard import FileWriter
 
-from torch_iac.runs import Run
+from torch_iac.runs import EVENTS, Run
 
 SUFFIX = ".hparams"
 """How the names of these files end."""
@@ -141,7 +141,7 @@ def _tagged(tag: str, data: HParamsPluginData) -> Summary:
 
 def _write(folder: Path, content: Sequence[tuple[Summary, int]]) -> None:
     """Write summaries, each at a step, in place of those that an earlier report wrote."""
-    for path in folder.glob(f"events.out.tfevents.*{SUFFIX}"):
+    for path in folder.glob(EVENTS + SUFFIX):
         path.unlink()
     writer = FileWriter(str(folder), filename_suffix=SUFFIX)
     for summary, step in content:

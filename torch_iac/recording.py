@@ -16,18 +16,19 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_iac.agent import RegionSummary, Step
+from torch_iac.counts import check_count
 from torch_iac.dashboard import Dashboard
-from torch_iac.files import dump_json, replace
+from torch_iac.files import dump_json, replace, write_table
 from torch_iac.measures import summarise
 from torch_iac.regions import NONE, Genealogy
 from torch_iac.runs import (
     CONFIG,
+    EVENTS,
     MAIN,
     REGIONS,
     STEPS,
@@ -139,8 +140,7 @@ class Recorder:
         resume: bool = False,
     ) -> None:
         for name, value in (("log_every", log_every), ("rows_per_part", rows_per_part)):
-            if value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
+            check_count(name, value)
         n_agents = len(agent.seeds)
         n_recorded = n_agents if n_recorded is None else n_recorded
         if not 1 <= n_recorded <= n_agents:
@@ -238,9 +238,9 @@ class Recorder:
             return
         self._settle()
         regions = region_table(self._agent.genealogy(), self._agent.space)
-        _write_table(self.folder / REGIONS, regions)
-        _write_table(part_path(self.folder, self._n_parts, WINDOWS), self._window_table())
-        _write_table(part_path(self.folder, self._n_parts), self._rows.table())
+        write_table(self.folder / REGIONS, regions)
+        write_table(part_path(self.folder, self._n_parts, WINDOWS), self._window_table())
+        write_table(part_path(self.folder, self._n_parts), self._rows.table())
         self._rows.clear()
         self._windows.clear()
         self._n_parts, self._n_told = self._n_parts + 1, 0
@@ -493,7 +493,7 @@ def _claim(folder: Path, resume: bool) -> None:
     if files:
         raise NotADirectoryError(f"{folder} cannot be a run folder: {files[0]} is a file")
     held = any((folder / name).exists() for name in (CONFIG, REGIONS, SUMMARY))
-    held = held or any(folder.glob("events.out.tfevents.*"))
+    held = held or any(folder.glob(EVENTS))
     if (held or (folder / STEPS).exists()) and not resume:
         raise FileExistsError(f"{folder} already holds a run; resume it or choose another folder")
     (folder / SUMMARY).unlink(missing_ok=True)  # it says that a run has ended
@@ -504,12 +504,3 @@ def _claim(folder: Path, resume: bool) -> None:
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     data = dump_json(content)
     replace(path, lambda temporary: temporary.write_bytes(data))
-
-
-def _write_table(path: Path, table: pa.Table) -> None:
-    # Dictionaries make floats slower to write and larger.
-    few = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
-    replace(
-        path,
-        lambda to: pq.write_table(table, to, use_dictionary=few, compression="zstd"),
-    )

@@ -7,7 +7,6 @@ from shlex import join
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 
 from torch_iac.charts import Curves, draw_errors, draw_improvements, draw_shares, save
@@ -21,7 +20,7 @@ from torch_iac.evidence import (
     measure_rows,
     measures_of,
 )
-from torch_iac.files import replace
+from torch_iac.files import replace, write_table
 from torch_iac.hparams import differing_settings, write_experiment, write_session
 from torch_iac.intervals import Estimate
 from torch_iac.runs import WINDOW, Run, tally
@@ -274,7 +273,7 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
     if rows:
         names = list(rows[0])
         columns = {n: pa.array([row[n] for row in rows], from_pandas=True) for n in names}
-        replace(path, lambda to: pq.write_table(pa.table(columns), to, compression="zstd"))
+        write_table(path, pa.table(columns))
 
 
 def _words(found: Estimate) -> str:

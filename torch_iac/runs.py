@@ -24,6 +24,8 @@ STEPS = "steps"
 WINDOWS = "windows"
 REGIONS = "regions.parquet"
 SUMMARY = "summary.json"
+CHECKPOINTS = "checkpoints"
+EVENTS = "events.out.tfevents.*"
 
 MAIN = "main"
 """What the experts that the robot acts on are called beside their shadows."""

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from torch_iac.agent import IAC
 from torch_iac.checkpoint import Checkpoint, Checkpoints
+from torch_iac.counts import check_count
 from torch_iac.recording import Recorder
 
 World = gym.vector.VectorEnv[Any, Any, Any]
@@ -73,8 +74,7 @@ def train(
             f"got {env.num_envs}"
         )
     for name, value in (("n_decisions", n_decisions), ("checkpoint_every", checkpoint_every)):
-        if value < 1:
-            raise ValueError(f"{name} must be at least 1, got {value}")
+        check_count(name, value)
     sensors = _begin(agent, env, recorder, checkpoints)
     if n_decisions < agent.n_decisions:
         raise ValueError(
@@ -96,19 +96,6 @@ def train(
     return agent.n_decisions == n_decisions
 
 
-def can_be_saved(env: World) -> bool:
-    """Return whether a world can be saved: it was reset and has `get_state`, or its parts a state.
-
-    A vector of worlds can have `get_state()` and `set_state(state)` itself; otherwise each of its
-    worlds needs an attribute `full_state` that can be read and set.
-    """
-    try:
-        _world_state(env)
-    except AttributeError:
-        return False
-    return True
-
-
 def _begin(
     agent: IAC, env: World, recorder: Recorder | None, checkpoints: Checkpoints | None
 ) -> Any:
@@ -116,11 +103,13 @@ def _begin(
     sensors, _ = env.reset(seed=list(agent.seeds))  # type: ignore[arg-type]  # a list is fine
     if checkpoints is None:
         return sensors
-    if not can_be_saved(env):
+    try:
+        _world_state(env)  # refused now rather than when the first checkpoint is due
+    except AttributeError:
         raise ValueError(
             f"a world must have get_state and set_state, or worlds with {STATE}, to be saved, "
             f"got {env.unwrapped}"
-        )
+        ) from None
     try:
         checkpoint = checkpoints.read()
     except FileNotFoundError:
