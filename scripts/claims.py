@@ -195,8 +195,8 @@ def plateaus(runs: Sequence[Run]) -> Values:
     steps, errors = tests_of(runs, "met", "squared")
     relative = errors / errors[-LAST_TESTS:].mean(axis=0)
     first = plateau(relative, SPAN_TESTS, SPREAD)
-    reached = steps[np.nan_to_num(first).astype(int)]
-    return np.where(np.isnan(first), steps[-1], reached).astype(np.float64)
+    at = np.where(np.isnan(first), len(steps) - 1, first).astype(int)
+    return np.asarray(steps[at], np.float64)
 
 
 def catching_up(runs: Sequence[Run], others: Sequence[Run], which: str) -> Values:

@@ -8,15 +8,23 @@ draws the generalisation tests. Runs that are in the folder already are not run 
 `docs/results.md` holds a copy.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
+import numpy as np
 import tyro
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 import torch_iac as iac
-from scripts.study import KINEMATIC, WORLD, Life, live_all
+from scripts.claims import CLAIMS, F1, LATE, Claim, Group, catching_up, last_error, ratio, time_in
+from scripts.study import F2, KINEMATIC, WORLD, Life, live_all, tests_of
+from torch_iac.charts import COLOURS, save
+from torch_iac.figures import STYLE, time_axis
+from torch_iac.intervals import Estimate, band, mean
 from torch_iac.runs import Run
 
 TEST_EVERY = 100  # decisions, as in 2007
@@ -65,6 +73,29 @@ VARIANTS = {
 }
 
 
+COLUMNS = {
+    "nearest neighbours": ("kinematic", "knn"),
+    "in pybullet": ("pybullet", "knn"),
+    "networks": ("kinematic", "mlp"),
+    "networks in pybullet": ("pybullet", "mlp"),
+    "numbers and senses of 2007": ("kinematic", "2007"),
+}
+"""The columns of the table of claims: a world, and the name of the robots there."""
+
+DRIVES = ("random", "max", "global", "proportional", "curriculum")
+
+LABELS = {
+    "iac": "IAC",
+    "random": "RANDOM",
+    "max": "MAX",
+    "curriculum": "a curriculum by hand",
+    "proportional": "in proportion to absolute progress",
+}
+"""What is drawn, under which name."""
+
+SETS = {"met": "Contexts met under random actions", "anywhere": "Poses drawn over the room"}
+
+
 @dataclass(frozen=True)
 class Study:
     """How many robots, and for how long."""
@@ -84,8 +115,13 @@ class Study:
 
 
 def main(study: Study) -> None:
-    """Run what is not there yet, then print the claims."""
-    runs_of(study)
+    """Run what is not there yet, then print the claims and the conditions, and draw."""
+    runs = runs_of(study)
+    print_claims(runs)
+    print_conditions(runs["kinematic"])
+    figure = draw_tests({kind: group(runs["kinematic"], kind) for kind in ("knn", "mlp")})
+    save(figure, study.out / "generalisation.png")
+    print(f"\nDrawn: {study.out / 'generalisation.png'}")
 
 
 def runs_of(study: Study) -> dict[str, dict[str, list[Run]]]:
@@ -96,6 +132,87 @@ def runs_of(study: Study) -> dict[str, dict[str, list[Run]]]:
     for (world, name, _), run in zip(places, runs, strict=True):
         found[world].setdefault(name, []).append(run)
     return found
+
+
+def group(runs: Mapping[str, Sequence[Run]], kind: str) -> Group:
+    """Return the robots of one kind, by drive, as far as there are any."""
+    found = {"iac": runs[kind]}
+    return found | {d: runs[f"{kind}-{d}"] for d in DRIVES if f"{kind}-{d}" in runs}
+
+
+def print_claims(runs: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
+    """Print what becomes of each claim, in each column."""
+    columns = {title: group(runs[world], kind) for title, (world, kind) in COLUMNS.items()}
+    titles = [f"{t} ({sum(r.n_agents for r in of['iac'])})" for t, of in columns.items()]
+    print(f"| paper | claim | measured | {' | '.join(titles)} |")
+    print("|---" * (3 + len(titles)) + "|")
+    for claim in CLAIMS:
+        cells = [_cell(claim, robots) for robots in columns.values()]
+        print(f"| {claim.paper} | {claim.says} | {claim.measured} | {' | '.join(cells)} |")
+
+
+def _cell(claim: Claim, robots: Group) -> str:
+    if any(name not in robots for name in claim.needs):
+        return ""
+    found = claim.number(robots)
+    return f"{_interval(found, claim.unit)}: **{claim.verdict(found)}**"
+
+
+def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
+    """Print how every kind of robot does on the tests, beside RANDOM of its own kind."""
+    print(
+        "\n| robots | time in f1 | in f2 | error, contexts met | of RANDOM's | RANDOM's last error "
+        "at | error, anywhere | of RANDOM's | RANDOM's last error at |"
+    )
+    print("|---" * 9 + "|")
+    for name, mine in runs.items():
+        others = runs[f"{name.partition('-')[0]}-random"]
+        cells = [_interval(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        for which in SETS:
+            errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
+            cells += [_interval(mean(errors), ".4f"), _interval(ratio(errors, theirs), ".2f")]
+            cells.append(_reached(catching_up(mine, others, which)))
+        print(f"| {name} | {' | '.join(cells)} |")
+
+
+def _reached(steps: np.ndarray) -> str:
+    """Return the median of when robots came somewhere, those that never did being the last."""
+    median = np.median(np.nan_to_num(steps, nan=np.inf))
+    count = f"{np.isfinite(steps).sum()} of {len(steps)}"
+    return f"{median:,.0f} ({count})" if np.isfinite(median) else f"never ({count} did)"
+
+
+def _interval(found: Estimate, unit: str) -> str:
+    value, low, high = (format(of, unit) for of in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def draw_tests(groups: Mapping[str, Group]) -> Figure:
+    """Return how the errors of some kinds of robots go on both test sets."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        panels = figure.subplots(len(groups), len(SETS), sharex=True, sharey=True)
+        kinds = {"knn": "nearest neighbours", "mlp": "networks"}
+        for row, (kind, robots) in zip(panels, groups.items(), strict=True):
+            for panel, (which, title) in zip(row, SETS.items(), strict=True):
+                _draw_curves(panel, robots, which)
+                panel.set_title(f"{title}, {kinds[kind]}", fontsize=8)
+            row[0].set_ylabel("Mean absolute error in f2 (scaled)")
+        for panel in panels[-1]:
+            panel.set_xlabel("Decision")
+        handles, labels = panels[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw_curves(panel: Axes, robots: Group, which: str) -> None:
+    for place, (name, label) in enumerate(LABELS.items()):
+        if name in robots:
+            steps, errors = tests_of(robots[name], which, "absolute")
+            panel.plot(steps, errors.mean(axis=1), color=COLOURS[place], label=label, linewidth=1.2)
+            panel.fill_between(steps, *band(errors), color=COLOURS[place], alpha=0.2, linewidth=0)
+    time_axis(panel, int(steps[-1]), n_ticks=4)
+    panel.set_yscale("log")
 
 
 def _lives(study: Study) -> Iterator[tuple[str, str, Life]]:
