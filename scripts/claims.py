@@ -1,8 +1,8 @@
 """The papers' claims: what each says, how it is measured here, and what would bear it out.
 
 All of this was fixed before the runs that it judges were looked at. A claim is *reproduced* if the
-whole 95 % interval of its number is on the right side of its bar, *partly* if it is on the right
-side of a lesser one, and else *not*.
+whole 95 % interval of its number is beyond its bar, *partly* if it is beyond a lesser one, and else
+*not*.
 
 Shapes: `A` robots, `T` decisions, `P` tests.
 """
@@ -67,8 +67,15 @@ class Claim:
     def verdict(self, found: Estimate) -> Verdict:
         """Return what a number says of the claim."""
         if self.better == "higher":
-            return _verdict(found.low >= self.bar, found.low >= self.lesser)
-        return _verdict(found.high <= self.bar, found.high <= self.lesser)
+            return _verdict(found.low > self.bar, found.low > self.lesser)
+        return _verdict(found.high < self.bar, found.high < self.lesser)
+
+    @property
+    def bars(self) -> str:
+        """Return in words where it is reproduced, and where partly."""
+        sign = {"higher": "above", "lower": "below"}[self.better]
+        ends = [self.bar] + [self.lesser] * (self.lesser != self.bar)
+        return f"{sign} {', '.join(format(end, self.unit) for end in ends)}"
 
 
 def _verdict(is_above: bool, is_above_lesser: bool) -> Verdict:

@@ -143,19 +143,22 @@ def group(runs: Mapping[str, Sequence[Run]], kind: str) -> Group:
 def print_claims(runs: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
     """Print what becomes of each claim, in each column."""
     columns = {title: group(runs[world], kind) for title, (world, kind) in COLUMNS.items()}
+    print("| | paper | claim | measured | reproduced, partly |\n|---|---|---|---|---|")
+    for number, claim in enumerate(CLAIMS, 1):
+        print(f"| {number} | {claim.paper} | {claim.says} | {claim.measured} | {claim.bars} |")
     titles = [f"{t} ({sum(r.n_agents for r in of['iac'])})" for t, of in columns.items()]
-    print(f"| paper | claim | measured | {' | '.join(titles)} |")
-    print("|---" * (3 + len(titles)) + "|")
-    for claim in CLAIMS:
+    print(f"\n| | {' | '.join(titles)} |")
+    print("|---" * (1 + len(titles)) + "|")
+    for number, claim in enumerate(CLAIMS, 1):
         cells = [_cell(claim, robots) for robots in columns.values()]
-        print(f"| {claim.paper} | {claim.says} | {claim.measured} | {' | '.join(cells)} |")
+        print(f"| {number} | {' | '.join(cells)} |")
 
 
 def _cell(claim: Claim, robots: Group) -> str:
     if any(name not in robots for name in claim.needs):
         return ""
     found = claim.number(robots)
-    return f"{_interval(found, claim.unit)}: **{claim.verdict(found)}**"
+    return f"**{claim.verdict(found)}** {_interval(found, claim.unit)}"
 
 
 def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
