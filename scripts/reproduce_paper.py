@@ -219,26 +219,26 @@ def _draw_curves(panel: Axes, robots: Group, which: str) -> None:
 
 
 def _lives(study: Study) -> Iterator[tuple[str, str, Life]]:
-    """Return every run, with its world and its variant; those in both worlds first."""
+    """Return every run, with its world and its variant."""
+    whole = range(study.kinematic_seeds)
+    blocks = [
+        range(first, min(first + study.block, study.pybullet_seeds))
+        for first in range(0, study.pybullet_seeds, study.block)
+    ]
     for name, variant in VARIANTS.items():
-        seeds = range(study.kinematic_seeds)
-        yield "kinematic", name, _life(study, "kinematic", name, variant, seeds)
-        for first in range(0, study.pybullet_seeds if variant.in_pybullet else 0, study.block):
-            seeds = range(first, min(first + study.block, study.pybullet_seeds))
-            yield "pybullet", name, _life(study, "pybullet", name, variant, seeds)
+        yield "kinematic", name, life_of(study.out, "kinematic", name, variant, whole, study.steps)
+        for seeds in blocks if variant.in_pybullet else ():
+            life = life_of(study.out, "pybullet", name, variant, seeds, study.steps)
+            yield "pybullet", name, life
 
 
-def _life(study: Study, world: str, name: str, variant: Variant, seeds: range) -> Life:
-    folder = study.out / world / name / f"seeds-{seeds.start:03d}-{seeds.stop - 1:03d}"
-    return Life(
-        folder,
-        variant.config,
-        seeds,
-        study.steps,
-        KINEMATIC if world == "kinematic" else WORLD,
-        variant.options,
-        TEST_EVERY,
-    )
+def life_of(
+    out: Path, world: str, name: str, variant: Variant, seeds: range, n_decisions: int
+) -> Life:
+    """Return the run of some robots of a variant in a world."""
+    folder = out / world / name / f"seeds-{seeds.start:03d}-{seeds.stop - 1:03d}"
+    place = {"kinematic": KINEMATIC, "pybullet": WORLD}[world]
+    return Life(folder, variant.config, seeds, n_decisions, place, variant.options, TEST_EVERY)
 
 
 if __name__ == "__main__":
