@@ -8,6 +8,7 @@ f2. Runs that are in the folder already are not run again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,15 +17,16 @@ import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
+from tqdm import tqdm
 
 from scripts.claims import F1, in_order, share, time_in
-from scripts.study import F2, KINEMATIC, Life, live_all
+from scripts.study import F2, KINEMATIC, Life, live_together
 from torch_iac import IACConfig, KNNExperts
 from torch_iac.charts import COLOURS, save
 from torch_iac.figures import STYLE
 from torch_iac.intervals import Estimate, mean
 from torch_iac.measures import SETTLING
-from torch_iac.runs import Run
+from torch_iac.runs import Run, load_run
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,11 @@ def main(study: Study) -> None:
         for name, parameter in PARAMETERS.items()
         for value in parameter.values
     }
-    lives = list({life.folder: life for life in places.values()}.values())
-    by_folder = {run.folder: run for run in live_all(lives, study.processes)}
+    live_side_by_side(
+        list({life.folder: life for life in places.values()}.values()), study.processes
+    )
     found = {
-        place: {title: of([by_folder[life.folder]]) for title, of in MEASURES.items()}
+        place: {title: of([load_run(life.folder)]) for title, of in MEASURES.items()}
         for place, life in places.items()
     }
     print(f"| parameter | value | {' | '.join(MEASURES)} |\n|---|---|" + "---|" * len(MEASURES))
@@ -118,6 +121,15 @@ def main(study: Study) -> None:
         mark = f"**{value:g}**" if is_default else f"{value:g}"
         print(f"| {PARAMETERS[name].title} | {mark} | {' | '.join(cells)} |")
     save(draw(found), study.out / "sensitivity.png")
+
+
+def live_side_by_side(lives: Sequence[Life], processes: int) -> None:
+    """Carry out runs, those in worlds with the same options side by side."""
+    by_options: dict[tuple[tuple[str, object], ...], list[Life]] = {}
+    for life in lives:
+        by_options.setdefault(tuple(life.options.items()), []).append(life)
+    with ProcessPoolExecutor(processes) as pool:
+        list(tqdm(pool.map(live_together, by_options.values()), unit="world", disable=None))
 
 
 def _life(study: Study, name: str, parameter: Parameter, value: float) -> Life:

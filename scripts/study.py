@@ -1,8 +1,9 @@
 """What the studies share: robots that develop in a toy room, several runs at once, each kept."""
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -70,49 +71,100 @@ class Life:
 
 def live(life: Life) -> None:
     """Let its robots develop, unless the run is there already."""
-    if (life.folder / "summary.json").exists():
+    live_together([life])
+
+
+def live_together(lives: Sequence[Life]) -> None:
+    """Let the robots of several runs develop side by side, as one vector of worlds.
+
+    What a world does depends on its own seed only, so the runs are those that would have been.
+
+    Args:
+        lives: Runs of one length, in one kind of world; those that are there already are left out.
+    """
+    lives = [life for life in lives if not (life.folder / "summary.json").exists()]
+    if not lives:
         return
     torch.set_num_threads(1)
-    env = gym.make_vec(life.world, num_envs=len(life.seeds), **life.options)
-    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    agent = iac.IAC(space, life.config, life.seeds)
-    world = {"id": life.world, "options": dict(life.options)}
-    described = {"iac": life.config.to_json(), "world": world}
-    with Recorder(life.folder, agent, env.metadata["zone_names"], described) as recorder:
-        _develop(life, agent, env, recorder)
+    seeds = [seed for life in lives for seed in life.seeds]
+    env = gym.make_vec(lives[0].world, num_envs=len(seeds), **lives[0].options)
+    with ExitStack() as stack:
+        groups = [_Robots(life, env, stack) for life in lives]
+        sensors, _ = env.reset(seed=seeds)  # type: ignore[arg-type]  # a list is fine
+        for _ in range(lives[0].n_decisions):
+            actions = [robots.act(mine) for robots, mine in _shared(groups, sensors)]
+            join = torch.cat if isinstance(sensors, torch.Tensor) else np.concatenate
+            sensors, _, _, _, info = env.step(join(actions))
+            after = _shared(groups, sensors, info["zone"])
+            for robots, mine, zones in after:
+                robots.observe(mine, zones)
+        for robots in groups:
+            robots.close()
     env.close()
 
 
 def live_all(lives: Iterable[Life], processes: int) -> list[Run]:
-    """Let robots develop, some at once, and return their runs in order."""
+    """Let robots develop, some runs at once, and return their runs in order."""
     lives = list(lives)
     with ProcessPoolExecutor(processes) as pool:
         list(tqdm(pool.map(live, lives), total=len(lives), unit="run", disable=None))
     return [load_run(life.folder) for life in lives]
 
 
-def _develop(life: Life, agent: iac.IAC, env: Any, recorder: Recorder) -> None:
-    """Take the decisions, test now and then, and note what the robots cost."""
-    tests: list[dict[str, Any]] = []
-    seconds = 0.0
-    sensors, _ = env.reset(seed=list(life.seeds))
-    while agent.n_decisions < life.n_decisions:
+class _Robots:
+    """The robots of a run while they develop.
+
+    Args:
+        life: The run.
+        env: Their worlds, and maybe others'.
+        stack: Closes the run's folder in the end.
+    """
+
+    def __init__(self, life: Life, env: Any, stack: ExitStack) -> None:
+        self._life = life
+        space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+        self.agent = iac.IAC(space, life.config, life.seeds)
+        world = {"id": life.world, "options": dict(life.options)}
+        described = {"iac": life.config.to_json(), "world": world}
+        zones = env.metadata["zone_names"]
+        self._recorder = stack.enter_context(Recorder(life.folder, self.agent, zones, described))
+        self._tests: list[dict[str, Any]] = []
+        self._seconds = 0.0
+
+    def act(self, sensors: Any) -> Any:
+        """Return the robots' actions."""
         started = time.process_time()
-        actions = agent.act(sensors)
-        acted = time.process_time()
-        sensors, _, _, _, info = env.step(actions)
-        moved = time.process_time()
-        step = agent.observe(sensors)
-        seconds += time.process_time() - moved + acted - started
-        recorder.record(step, info["zone"])
-        if life.test_every and agent.n_decisions % life.test_every == 0:
-            tests += _tested(agent, _test_sets(life.world, tuple(life.options.items())))
-    if tests:
-        columns = {name: [test[name] for test in tests] for name in tests[0]}
-        write_table(life.folder / TESTS, pa.table(columns))
-    kept = sum(tensor.nbytes for tensor in agent.state().values())
-    costs = dump_json({"agent_seconds": seconds, "state_bytes": kept})
-    (life.folder / COSTS).write_bytes(costs)
+        actions = self.agent.act(sensors)
+        self._seconds += time.process_time() - started
+        return actions
+
+    def observe(self, sensors: Any, zones: Any) -> None:
+        """Learn, keep what happened, and test now and then."""
+        started = time.process_time()
+        step = self.agent.observe(sensors)
+        self._seconds += time.process_time() - started
+        self._recorder.record(step, zones)
+        every = self._life.test_every
+        if every and self.agent.n_decisions % every == 0:
+            options = tuple(self._life.options.items())
+            self._tests += _tested(self.agent, _test_sets(self._life.world, options))
+
+    def close(self) -> None:
+        """Keep the tests, and what the robots cost."""
+        if self._tests:
+            columns = {name: [test[name] for test in self._tests] for name in self._tests[0]}
+            write_table(self._life.folder / TESTS, pa.table(columns))
+        kept = sum(tensor.nbytes for tensor in self.agent.state().values())
+        costs = dump_json({"agent_seconds": self._seconds, "state_bytes": kept})
+        (self._life.folder / COSTS).write_bytes(costs)
+
+
+def _shared(groups: Sequence[_Robots], *rows: Any) -> Iterator[tuple[Any, ...]]:
+    """Give each group of robots its part of some rows."""
+    start = 0
+    for robots in groups:
+        mine = slice(start, start := start + robots.agent.n_agents)
+        yield robots, *(of[mine] for of in rows)
 
 
 def _tested(agent: iac.IAC, sets: Mapping[str, Transitions]) -> list[dict[str, Any]]:
