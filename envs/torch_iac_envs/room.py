@@ -96,7 +96,14 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-MOST = {"beams": 10_000, "sensor_noise": 1000.0, "actuator_noise": 1000.0, "substeps": 1000}
+MOST = {
+    "beams": 10_000,
+    "sensor_noise": 1000.0,
+    "actuator_noise": 1000.0,
+    "substeps": 1000,
+    "width": 4096,
+    "height": 4096,
+}
 """How large arguments of a world may be: far beyond any use, and before an engine gives up."""
 
 
