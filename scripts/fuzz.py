@@ -140,7 +140,7 @@ def command(seed: int, number: int, is_lived: bool) -> list[str]:
 
 def answer_to(words: Sequence[str], is_lived: bool, seconds: int) -> Answer:
     """Return what comes of a command, lived through in a folder of its own or only parsed."""
-    unlived = mock.patch.object(cli.Train, "run")
+    unlived = mock.patch.object(cli, "begin")
     with contextlib.nullcontext() if is_lived else unlived, _own_folder(), _limit(seconds):
         try:
             code, out, err = _typed(words)

@@ -25,8 +25,8 @@ import tyro
 from tqdm import tqdm
 
 from tests.same_run import differences
-from torch_iac.cli import DRIVES
 from torch_iac.runs import CHECKPOINTS
+from torch_iac.settings import DRIVES
 
 WORLDS = {"toyroom": ("--agents", "1"), "kinematic": ("--agents", "2")}
 EXPERTS = ("knn", "mlp")

@@ -30,9 +30,10 @@ from torch_iac import (
     Softmax,
     Step,
 )
-from torch_iac.cli import DRIVES, DriveName, main
+from torch_iac.cli import main
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
+from torch_iac.settings import DRIVES, DriveName
 
 SCRIPT = Path(sysconfig.get_path("scripts")) / "torch-iac"
 

@@ -1,32 +1,22 @@
 """The command `torch-iac`."""
 
-import io
 import logging
 import os
-import platform
 import signal
 import sys
-from argparse import ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field, fields, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from datetime import datetime
-from importlib.metadata import version
-from inspect import signature
-from json import loads
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
-from warnings import catch_warnings
+from typing import Annotated, Any, NoReturn
 
 import gymnasium as gym
 import torch
 import tyro
-from gymnasium.envs.registration import load_env_creator
 
-import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.agent import IAC, available_device
+from torch_iac.agent import IAC
 from torch_iac.checkpoint import Checkpoints, identity
-from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.comparison import (
     PLAN,
     Comparison,
@@ -37,82 +27,17 @@ from torch_iac.comparison import (
     read_variants,
     tally_states,
 )
-from torch_iac.config import PRESETS, IACConfig
 from torch_iac.counts import check_count
-from torch_iac.drives import (
-    AbsoluteProgress,
-    Curriculum,
-    Drive,
-    Error,
-    GlobalProgress,
-    Improvement,
-    MetaProgress,
-    Novelty,
-    Progress,
-    Random,
-)
-from torch_iac.experts import Experts, KNNExperts, MLPExperts
 from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
-from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
 from torch_iac.report import save_report
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
-from torch_iac.space import SensorimotorSpace
-from torch_iac.training import CHECKPOINT_EVERY, World, train
+from torch_iac.settings import Train, parse_train, settings_of
+from torch_iac.training import World, train
 from torch_iac.workers import carry_out, on_processes, on_ray
-
-WORLDS = {
-    "toyroom": "torch_iac_envs/ToyRoom-v0",
-    "kinematic": "torch_iac_envs/ToyRoomKinematic-v0",
-}
-OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
-WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
-"""What a world takes in the main memory; with pybullet it is a whole physics engine."""
-
-EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
-DRIVES: dict[str, type[Drive]] = {
-    "progress": Progress,
-    "meta_progress": MetaProgress,
-    "absolute_progress": AbsoluteProgress,
-    "global_progress": GlobalProgress,
-    "error": Error,
-    "novelty": Novelty,
-    "improvement": Improvement,
-    "curriculum": Curriculum,
-    "random": Random,
-}
-CHOICES: dict[str, type[Choice]] = {
-    "greedy": Greedy,
-    "proportional": Proportional,
-    "softmax": Softmax,
-}
-ExpertsName = Literal["knn", "mlp"]
-ChoiceName = Literal["greedy", "proportional", "softmax"]
-DriveName = Literal[
-    "progress",
-    "meta_progress",
-    "absolute_progress",
-    "global_progress",
-    "error",
-    "novelty",
-    "improvement",
-    "curriculum",
-    "random",
-]
-
-KINDS = {
-    int: "a whole number",
-    float: "a number",
-    bool: "true or false",
-    str: "a text",
-    str | None: "a text or null",
-}
-"""What an argument of a world may be, in words."""
-
-SEEDS = 2**32
-"""Seeds lie below; every random number generator takes them."""
+from torch_iac.worlds import WORLD_BYTES
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
@@ -120,179 +45,57 @@ THREADED_AGENTS = 32
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals that stop a run after the present decision."""
 
-PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
-
-
 log = logging.getLogger(__name__)
 
-Plain = tyro.conf.arg(name="")
-"""The options of a part are named without the part's own name before theirs."""
+
+def begin(settings: Train, words: Sequence[str]) -> None:
+    """Carry `torch-iac train` out; `words` are what the user typed."""
+    out = settings.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{settings.world}"
+    live(settings, out, words)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings(IACConfig):
-    """The engine's numbers, as options of the command; `Any` is what the default is."""
-
-    experts: Annotated[Any, Plain] = field(default_factory=KNNExperts)
-    """What predicts the outcome in each region."""
-    drive: Annotated[Any, Plain] = field(default_factory=Progress)
-    """What a candidate action is worth."""
-    choice: Annotated[Any, Plain] = field(default_factory=Greedy)
-    """Which candidate is taken, given what each is worth."""
-    shadows: tyro.conf.Suppress[Mapping[str, Experts]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Train:
-    """Let robots develop in a world and write down what they do.
-
-    The run folder holds every decision, every region, TensorBoard's files, a summary and the
-    paper's figures.
-    """
-
-    world: Literal["toyroom", "kinematic"] = "toyroom"
-    """Where the robots live: the toy room, simulated by pybullet, or its twin in plain arithmetic,
-    for thousands of robots at once."""
-    preset: Literal["iac2004", "iac2007"] = "iac2004"
-    """Which paper's numbers the options start from; they are the defaults shown here."""
-    experts: ExpertsName = "knn"
-    """What predicts in each region; its own options are among those below."""
-    shadows: tuple[ExpertsName, ...] = ()
-    """Other experts, which predict and learn on the same stream without any influence."""
-    drive: DriveName = "progress"
-    """What the robot wants; its own options are among those below."""
-    choice: ChoiceName = "greedy"
-    """Which candidate action is taken, given what each is worth."""
-    mp: bool = True
-    """Whether the meta-predictor MP learns what errors to expect; some drives need it."""
-    steps: int = 10_000
-    """How many decisions each robot takes."""
-    seed: int = 0
-    """Seed of the first robot; each further one has the next."""
-    agents: int = 1
-    """How many robots, each in a world of its own."""
-    out: Path | None = None
-    """The run folder; by default a new one in runs/, named by the time."""
-    device: str = "cpu"
-    """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
-    there is one)."""
-    outcomes: tuple[str, ...] = ()
-    """The sensors to predict, or all; by default what the paper predicts in that world."""
-    world_options: tuple[str, ...] = ()
-    """Arguments of the world, such as beams=4 sensor_noise=0."""
-    log_every: int = 100
-    """How many decisions lie between two logs to TensorBoard."""
-    recorded_rows: int = 20_000_000
-    """Every decision of every robot is recorded if that makes at most so many rows, of about 65
-    bytes each on disk; otherwise those of the first robots only, and tallies of all."""
-    recorded_agents: int = 64
-    """How many those first robots are."""
-    checkpoint_every: int = CHECKPOINT_EVERY
-    """How many decisions lie between two checkpoints, or more where they would take over a
-    twentieth of the time."""
-    iac: Annotated[Settings, Plain] = field(default_factory=Settings)
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
-            check_count(name, getattr(self, name))
-        check_count("recorded_rows", self.recorded_rows, least=0)
-        if not 0 <= self.seed < SEEDS:
-            raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
-
-    def run(self, words: Sequence[str]) -> None:
-        """Carry the command out; `words` are what the user typed."""
-        out = self.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{self.world}"
-        self.live(out, words)
-
-    def live(self, out: Path, words: Sequence[str], resume: bool = False) -> None:
-        """Let the robots develop in a new run folder, or go on in the one that they have."""
-        if self.agents < THREADED_AGENTS:
-            torch.set_num_threads(1)
-        options = _options(self.world_options)
-        device = _device(self.device)
-        space = self._space(options, device)
-        n_recorded = self._n_recorded()
-        need = (space, self._iac(), self.agents, self.steps, n_recorded)
-        check_memory(*need, device, WORLD_BYTES[self.world])
-        env = _make_world(self.world, self.agents, options, device)
-        try:
-            seeds = range(self.seed, self.seed + self.agents)
-            agent = IAC(space, self._iac(), seeds, device)
-            recorder = Recorder(
-                out,
-                agent,
-                env.metadata.get("zone_names"),
-                self._description(words, options),
-                log_every=self.log_every,
-                n_recorded=n_recorded,
-                resume=resume,
-            )
-            self._develop(agent, env, recorder, options)
-        finally:
-            env.close()
-        save_figures(out)
-        print(_report(load_run(out)))  # noqa: T201 - the command's answer
-
-    def check(self, elsewhere: bool = False) -> None:
-        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
-        device = torch.device("cpu") if elsewhere else _device(self.device)
-        self._space(_options(self.world_options), device)
-
-    def _develop(
-        self, agent: IAC, env: World, recorder: Recorder, options: Mapping[str, Any]
-    ) -> None:
-        """Train; whatever ends it early comes with how to go on."""
-        out, world = recorder.folder, {"name": self.world, "options": options}
-        saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
-        every = self.checkpoint_every
-        try:
-            with recorder, _stopping() as stop:
-                if not train(
-                    agent, env, self.steps, recorder, saved, checkpoint_every=every, stop=stop
-                ):
-                    where = f"stopped after decision {agent.n_decisions}"
-                    raise StoppedError(stop.signals[0], f"{where}; {_how_to_go_on(out)}")
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted; {_how_to_go_on(out)}") from None
-        except OSError as error:
-            raise OSError(f"{_sentence(error)}; {_how_to_go_on(out)}") from error
-
-    def _space(self, options: Mapping[str, Any], device: torch.device) -> SensorimotorSpace:
-        """Return what the robots do, sense and predict, from a single world."""
-        world = _make_world(self.world, 1, options, device)
-        try:
-            outcomes = self.outcomes or OUTCOMES[self.world]
-            return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
-        finally:
-            world.close()
-
-    def _n_recorded(self) -> int:
-        """Return of how many agents every decision is recorded; say so if not of all."""
-        n_rows = self.agents * self.steps
-        if n_rows <= self.recorded_rows or self.agents <= self.recorded_agents:
-            return self.agents
-        log.info(
-            "Decisions are recorded of the first %d robots only, tallies of all: %s rows would be "
-            "more than --recorded-rows %s",
-            self.recorded_agents,
-            f"{n_rows:,}",
-            f"{self.recorded_rows:,}",
+def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False) -> None:
+    """Let robots develop in a new run folder, or go on in the one that they have."""
+    if settings.agents < THREADED_AGENTS:
+        torch.set_num_threads(1)
+    space, config, n_recorded = settings.space(), settings.config(), settings.n_recorded()
+    device, n_agents = settings.torch_device(), settings.agents
+    need = (space, config, n_agents, settings.steps, n_recorded)
+    check_memory(*need, device, WORLD_BYTES[settings.world])
+    env = settings.make_world(n_agents)
+    try:
+        agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
+        recorder = Recorder(
+            out,
+            agent,
+            env.metadata.get("zone_names"),
+            settings.description(words),
+            log_every=settings.log_every,
+            n_recorded=n_recorded,
+            resume=resume,
         )
-        return self.recorded_agents
+        _develop(settings, agent, env, recorder)
+    finally:
+        env.close()
+    save_figures(out)
+    print(_report(load_run(out)))  # noqa: T201 - the command's answer
 
-    def _iac(self) -> IACConfig:
-        return replace(self.iac, shadows={name: EXPERTS[name]() for name in self.shadows})
 
-    def _description(self, words: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            "command": list(words),
-            "versions": {"python": platform.python_version(), **{p: version(p) for p in PACKAGES}},
-            "world": {"name": self.world, "id": WORLDS[self.world], "options": dict(options)},
-            "steps": self.steps,
-            "device": self.device,
-            "preset": self.preset,
-            "iac": self._iac().to_json(),
-        }
+def _develop(settings: Train, agent: IAC, env: World, recorder: Recorder) -> None:
+    """Train; whatever ends it early comes with how to go on."""
+    out = recorder.folder
+    world = {"name": settings.world, "options": settings.parsed_options()}
+    saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+    steps, every = settings.steps, settings.checkpoint_every
+    try:
+        with recorder, _stopping() as stop:
+            if not train(agent, env, steps, recorder, saved, checkpoint_every=every, stop=stop):
+                where = f"stopped after decision {agent.n_decisions}"
+                raise StoppedError(stop.signals[0], f"{where}; {_how_to_go_on(out)}")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {_how_to_go_on(out)}") from None
+    except OSError as error:
+        raise OSError(f"{_sentence(error)}; {_how_to_go_on(out)}") from error
 
 
 @dataclass(frozen=True)
@@ -314,14 +117,14 @@ class Resume:
         words = run.config.get("command")
         if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
             raise ValueError(f"{self.run_folder} must be a run of torch-iac train, got {words}")
-        settings = _settings_of([str(word) for word in words[1:]])
+        settings = settings_of([str(word) for word in words[2:]])
         steps = self.steps or run.config["steps"]
         if (self.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
             raise ValueError(
                 f"steps must be above the {run.n_decisions} that {self.run_folder} has ended with, "
                 f"got {steps}"
             )
-        replace(settings, steps=steps).live(self.run_folder, words, resume=True)
+        live(replace(settings, steps=steps), self.run_folder, words, resume=True)
 
 
 @dataclass(frozen=True)
@@ -418,7 +221,7 @@ class Compare:
         steps = {}
         for job in {job.variant: job for job in jobs}.values():
             try:
-                settings = _settings_of(list(job.words[1:]))
+                settings = settings_of(job.words[2:])
                 settings.check(elsewhere=self.ray is not None)
             except (ValueError, gym.error.Error) as error:
                 raise ValueError(f"variant {job.variant}: {error}") from None
@@ -434,26 +237,11 @@ def go_on(words: Sequence[str], folder: Path) -> None:
     Raises:
         KeyboardInterrupt: It was asked to stop, and has saved itself.
     """
-    settings = _settings_of(list(words[1:]))
+    settings = settings_of(words[2:])
     try:
-        settings.live(folder, words, resume=folder.exists())
+        live(settings, folder, words, resume=folder.exists())
     except StoppedError as stopped:
         raise KeyboardInterrupt(str(stopped)) from None
-
-
-def _settings_of(arguments: Sequence[str]) -> Train:
-    """Return what `torch-iac train` makes of its options.
-
-    Raises:
-        ValueError: They are refused.
-    """
-    try:
-        with redirect_stdout(io.StringIO()):
-            settings = _parsed(arguments)
-    except SystemExit:
-        raise ValueError("words must be options of torch-iac train, got --help") from None
-    assert isinstance(settings, Train)  # noqa: S101 - tells the type checker
-    return settings
 
 
 @dataclass(frozen=True)
@@ -485,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         command = _parsed(arguments)
         if isinstance(command, Train):
-            command.run(["torch-iac", *arguments])
+            begin(command, ["torch-iac", *arguments])
         elif isinstance(command, Compare):
             command.run(_split(arguments)[1])
         else:
@@ -522,13 +310,7 @@ def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
-        return tyro.cli(
-            Train,
-            default=_defaults(arguments),
-            prog="torch-iac train",
-            args=arguments[1:],
-            config=settings,
-        )
+        return parse_train(arguments[1:])
     if arguments[:1] == ["resume"]:
         return tyro.cli(Resume, prog="torch-iac resume", args=arguments[1:], config=settings)
     if arguments[:1] == ["compare"]:
@@ -545,75 +327,6 @@ def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
         description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
         args=arguments,
     )
-
-
-def _defaults(arguments: Sequence[str]) -> Train:
-    """Return what the choice of preset and of parts makes of the other options."""
-    parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("preset", "experts", "drive", "choice"):
-        parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
-    parser.add_argument("--no-mp", action="store_true")
-    chosen = vars(parser.parse_known_args(arguments)[0])
-    preset = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
-    numbers = {f.name: getattr(preset, f.name) for f in fields(preset)}
-    if not chosen["no_mp"]:
-        numbers["meta"] = MetaPredictor()
-    for name, kinds in (("experts", EXPERTS), ("drive", DRIVES), ("choice", CHOICES)):
-        if chosen[name] in kinds:
-            numbers[name] = kinds[chosen[name]]()
-    if "improvement" in numbers["drive"].needs:
-        numbers["improvement"] = ImprovementPredictor()
-    return Train(iac=Settings(**numbers))
-
-
-def _make_world(
-    name: str, n_worlds: int, options: Mapping[str, Any], device: torch.device
-) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Return as many worlds as asked for, on the device if they are tensors.
-
-    Raises:
-        ValueError: The world has no such option, or refuses its value.
-    """
-    spec = gym.spec(WORLDS[name])
-    is_batched = spec.vector_entry_point is not None
-    entry = spec.vector_entry_point if is_batched else spec.entry_point
-    parameters = signature(load_env_creator(str(entry))).parameters
-    allowed = [parameter for parameter in parameters if parameter not in ("num_envs", "device")]
-    for option, value in options.items():
-        if option not in allowed:
-            raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
-        kind = parameters[option].annotation
-        if kind in KINDS and not _is_a(kind, value):
-            raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
-    if is_batched:
-        # Actions are in their bounds; the check would make a GPU wait at every decision.
-        options = {"device": device, "check_actions": False, **options}
-    way = "vector_entry_point" if is_batched else "sync"
-    try:
-        with catch_warnings(action="ignore"):  # worlds refuse by themselves what is warned of
-            return gym.make_vec(spec.id, n_worlds, way, **options)
-    except RuntimeError as error:  # such as a window where there is no display
-        raise ValueError(str(error)) from error
-
-
-def _is_a(kind: Any, value: object) -> bool:
-    if isinstance(value, bool):
-        return kind is bool
-    return isinstance(value, (int, float) if kind is float else kind)
-
-
-def _options(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of a world, written as name=value, the value in JSON or plain text."""
-    options = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not (name and equals):
-            raise ValueError(f"world options must be written name=value, got {pair}")
-        try:
-            options[name.replace("-", "_")] = loads(value)
-        except (ValueError, RecursionError):  # not JSON, or more than Python reads of it
-            options[name.replace("-", "_")] = value
-    return options
 
 
 class StoppedError(Exception):
@@ -659,12 +372,6 @@ def _stopping() -> Iterator[_Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    return available_device(name)
 
 
 def _report(run: Run) -> str:
