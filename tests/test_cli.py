@@ -400,8 +400,8 @@ BAD_VALUES = [
     ("--world-options sensor_noise=NaN", "sensor_noise must be at least 0 and finite, got nan"),
     (
         "--world kinematic --world-options device=cpu",
-        "options of kinematic must be among beams, toy_direction, sensor_noise, actuator_noise, "
-        "check_actions, got device",
+        "options of kinematic must be among render_mode, width, height, beams, toy_direction, "
+        "sensor_noise, actuator_noise, check_actions, got device",
     ),
     ("--world kinematic --world-options beams=2.5", "beams must be a whole number, got 2.5"),
     (

@@ -104,7 +104,7 @@ def _begin(
     if checkpoints is None:
         return sensors
     try:
-        _world_state(env)  # refused now rather than when the first checkpoint is due
+        world_state(env)  # refused now rather than when the first checkpoint is due
     except AttributeError:
         raise ValueError(
             f"a world must have get_state and set_state, or worlds with {STATE}, to be saved, "
@@ -117,7 +117,7 @@ def _begin(
             recorder.load_state(None, 0)
         return sensors
     agent.load_state(checkpoint.agent)
-    _set_world_state(env, checkpoint.world)
+    set_world_state(env, checkpoint.world)
     if recorder is not None:
         recorder.load_state(checkpoint.loop["recorder"], checkpoint.n_decisions)
     saved = checkpoint.loop["sensors"]
@@ -147,7 +147,7 @@ class _Saver:
             Checkpoint(
                 self._agent.n_decisions,
                 self._agent.state(),
-                _world_state(self._env),
+                world_state(self._env),
                 {"sensors": sensors, "recorder": recorder},
             )
         )
@@ -155,12 +155,18 @@ class _Saver:
         self._took = self._ended - started
 
 
-def _world_state(env: World) -> Any:
+def world_state(env: World) -> Any:
+    """Return what the future of some worlds depends on.
+
+    Raises:
+        AttributeError: They have neither `get_state` nor `STATE`.
+    """
     whole = getattr(env.unwrapped, "get_state", None)
     return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
 
 
-def _set_world_state(env: World, state: Any) -> None:
+def set_world_state(env: World, state: Any) -> None:
+    """Let worlds go on from what `world_state` returned, exactly."""
     whole = getattr(env.unwrapped, "set_state", None)
     if whole:
         whole(state)

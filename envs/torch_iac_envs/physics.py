@@ -9,7 +9,7 @@ import pybullet as p
 from numpy.typing import NDArray
 
 from torch_iac_envs.bodies import SLICE, build, motor_torque
-from torch_iac_envs.room import TOY_ROLL, Room
+from torch_iac_envs.room import TOY_ROLL, Picture, Room
 
 STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
 
@@ -17,7 +17,6 @@ STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, to
 EYE, TARGET, FIELD_OF_VIEW = (0.0, -1.5, 2.1), (0.0, -0.08, 0.0), 50.0
 
 Vector = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 Point = tuple[float, float, float]
 
 

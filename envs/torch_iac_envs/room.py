@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Picture = NDArray[np.uint8]
+
 ACTION_NAMES = ("left_wheel", "right_wheel", "sound")
 ACTION_LOW = (-1.0, -1.0, 0.0)
 ACTION_HIGH = (1.0, 1.0, 1.0)
@@ -84,6 +86,11 @@ def sensor_names(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
     """Return the sensors' names, in the order in which they are read."""
     walls = tuple(f"wall_{beam}" for beam in range(n_beams))
     return (*walls, "toy_distance", *(("toy_cos", "toy_sin") if toy_direction else ()))
+
+
+def sensor_units(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
+    """Return the sensors' units, in the order in which they are read."""
+    return (*("m",) * (n_beams + 1), *(("", "") if toy_direction else ()))
 
 
 def sensor_bounds(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from torch_iac_envs import room as layout
 from torch_iac_envs.bodies import SLICE
-from torch_iac_envs.physics import Command, Physics, Picture, Vector, resting_state
-from torch_iac_envs.room import Room, check_argument, zone_of
+from torch_iac_envs.physics import Command, Physics, Vector, resting_state
+from torch_iac_envs.room import Picture, Room, check_argument, zone_of
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
@@ -30,10 +30,10 @@ class ToyRoom(gym.Env[Observation, Action]):
     into the robot. `info["zone"]` says which (0, 1, 2), for analysis: it is no sensor.
 
     The names of the actions and of the sensors are in `metadata`, under `"action_names"` and
-    `"sensor_names"`. A wall beam leaves from the robot's centre, the first one straight ahead and
-    the others anticlockwise. The toy's distance runs from the robot's centre to the toy's surface.
-    Its direction is read in the robot's frame; while the toy is in the robot there is none, and
-    both its cosine and its sine are 0.
+    `"sensor_names"`, the sensors' units under `"sensor_units"`. A wall beam leaves from the
+    robot's centre, the first one straight ahead and the others anticlockwise. The toy's distance
+    runs from the robot's centre to the toy's surface. Its direction is read in the robot's frame;
+    while the toy is in the robot there is none, and both its cosine and its sine are 0.
 
     Args:
         render_mode: None, `"rgb_array"` for pictures, `"rgb_array_list"` for every picture of the
@@ -111,6 +111,7 @@ class ToyRoom(gym.Env[Observation, Action]):
             **type(self).metadata,
             "action_names": layout.ACTION_NAMES,
             "sensor_names": layout.sensor_names(beams, self._toy_direction),
+            "sensor_units": layout.sensor_units(beams, self._toy_direction),
             "zone_names": layout.ZONE_NAMES,
         }
         if self.render_mode == "rgb_array_list":
