@@ -50,7 +50,7 @@ def sheet_of(run: Run, decision: int, monkeypatch: pytest.MonkeyPatch) -> Figure
 def words(figure: Figure) -> str:
     """Return all that a sheet says."""
     texts = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
-    return " | ".join(text.get_text().replace("\n", " ") for text in texts)
+    return " | ".join(" ".join(text.get_text().split()) for text in texts)
 
 
 def test_a_film_has_a_title_for_each_stage_and_every_picture_of_each_scene(run: Run) -> None:

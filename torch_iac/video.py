@@ -53,6 +53,11 @@ CARD_SECONDS = 1.5
 MOST_CUTS = 5
 """Of how many sensors the column says where the region was cut."""
 
+LINE = 62
+"""How many letters a line of small text has at most."""
+
+UNBROKEN = "\N{NO-BREAK SPACE}"
+
 PREDICTED, OUTCOME = "#E69F00", "#000000"
 """Orange and black: markers."""
 
@@ -196,13 +201,17 @@ class Film:
         progress = round(row["progress"], 4) + 0.0  # no minus before 0
         text = f"learning progress {progress:+.4f} (scaled)"
         _write(figure, COLUMN, 310, text, fontsize=16)
-        _write(figure, COLUMN, 338, fill(self._place(region), 66), fontsize=12.5, linespacing=1.35)
+        _write(
+            figure, COLUMN, 338, fill(self._place(region), LINE), fontsize=12.5, linespacing=1.35
+        )
 
     def _place(self, region: int) -> str:
         """Return in words where the cuts along sensors have left a region."""
         bounds = region_bounds(self.run, region, self.agent)
         sensors = {d.name: d for d in self.run.space.sensors if d.name in bounds}
-        said = [self._between(d, *bounds[name]) for name, d in sensors.items()]
+        said = [
+            self._between(d, *bounds[name]).replace(" ", UNBROKEN) for name, d in sensors.items()
+        ]
         if not said:
             return "whatever is sensed"
         more = len(said) - MOST_CUTS
