@@ -2,20 +2,19 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from imageio_ffmpeg import count_frames_and_secs
-from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
 from tests.synthetic_run import write_run
-from torch_iac import video
-from torch_iac.figures import ZONE_COLOURS
 from torch_iac.replay import Scene, Stage
-from torch_iac.runs import Run, load_run, region_bounds
-from torch_iac.video import HEIGHT, ROOM, ROOM_AT, SMALL, WIDTH, Film, Frame, writer_for
+from torch_iac.runs import Run, load_run
+from torch_iac.sheets import HEIGHT, ROOM, ROOM_AT, WIDTH
+from torch_iac.video import SMALL, Film, writer_for
 
 WORLD = {"render_fps": 4, "sensor_units": ("m", "cm")}
 CARD = 6  # frames, at four a second
@@ -34,25 +33,6 @@ def scene(run: Run, decision: int, stage: Stage | None = None, n_pictures: int =
     return Scene(stage or Stage("A stage", decision, 1), row, pictures)
 
 
-def sheet_of(run: Run, decision: int, monkeypatch: pytest.MonkeyPatch) -> Figure:
-    """Return the sheet of a decision before it is drawn."""
-    figures: list[Figure] = []
-
-    def keep(figure: Figure) -> Frame:
-        figures.append(figure)
-        return np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-
-    monkeypatch.setattr(video, "_drawn", keep)
-    list(Film(run, 0, WORLD).frames([scene(run, decision)]))
-    return figures[-1]
-
-
-def words(figure: Figure) -> str:
-    """Return all that a sheet says."""
-    texts = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
-    return " | ".join(" ".join(text.get_text().split()) for text in texts)
-
-
 def test_a_film_has_a_title_for_each_stage_and_every_picture_of_each_scene(run: Run) -> None:
     one, other = Stage("One", 3, 2), Stage("Other", 9, 1)
     scenes = [scene(run, 3, one, 3), scene(run, 4, one, 3), scene(run, 9, other, 1)]
@@ -65,53 +45,13 @@ def test_a_film_has_a_title_for_each_stage_and_every_picture_of_each_scene(run: 
 
 
 def test_the_room_stays_in_its_place(run: Run) -> None:
-    """Nothing of the sheet lies under the picture, and a picture of another size is fitted in."""
-    left, top = ROOM_AT
-    width, height = ROOM
-    sheet = Film(run, 0, WORLD)._sheet(scene(run, 1200).row, Stage("The focus on f2", 1200, 1))
-    assert (sheet[top : top + height, left : left + width] == 255).all()
-    shown = video._with_picture(sheet, np.zeros((30, 20, 3), np.uint8))
-    black = (shown != sheet).any(axis=2)
-    assert np.argwhere(black).min(axis=0).tolist() == [top, left]
-    assert black.sum() == height * height * 20 // 30
-
-
-def test_a_sheet_says_what_the_record_says(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    row = run.table(agent=0).to_pylist()[1299]
-    said = words(sheet_of(run, 1299, monkeypatch))
-    depth = run.family()["depth"].to_pylist()[row["region"]]
-    for text in (
-        "decision 1,299 of 1,300",
-        run.zone_names[row["zone"]],
-        "random action" if row["random_action"] else "action chosen by the drive",
-        f"Region {row['region']}, {depth} cuts from the root",
-        f"learning progress {row['progress']:+.4f}",
-        f"predicted {row['prediction/toy_distance']:.2f} cm",
-        f"outcome {row['outcome/toy_distance']:.2f} cm",
-        f"error {row['error']:.4f}",
-        f"{row['action/sound']:.2f}",
-        "whatever is sensed",
-    ):
-        assert text in said
-
-
-def test_a_sheet_says_where_sensors_were_cut(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    cut = {"beam": (0.0, 1.25), "toy_distance": (2.0, 5.0)}
-    monkeypatch.setattr(video, "region_bounds", lambda *_: cut)
-    assert "where beam up to 1.25 m, toy_distance above 2.00 cm" in words(
-        sheet_of(run, 5, monkeypatch)
-    )
-
-
-def test_the_part_of_an_axis_that_the_region_covers_is_marked(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    row = run.table(agent=0).to_pylist()[1299]
-    _wheel, sound, *_ = sheet_of(run, 1299, monkeypatch).axes
-    bar, marker = sound.lines
-    assert tuple(np.asarray(bar.get_xdata())) == region_bounds(run, row["region"])["sound"]
-    assert np.asarray(marker.get_xdata()).tolist() == [row["action/sound"]]
-    assert marker.get_color() == ZONE_COLOURS[row["zone"]]
+    """A picture of another size is fitted in."""
+    a_scene, (left, top), (_, height) = scene(run, 1200, n_pictures=1), ROOM_AT, ROOM
+    *_, sheet = Film(run, 0, WORLD).frames([a_scene])
+    narrow = replace(a_scene, pictures=[np.full((30, 20, 3), 200, np.uint8)])
+    *_, shown = Film(run, 0, WORLD).frames([narrow])
+    assert np.argwhere((shown != sheet).any(axis=2)).min(axis=0).tolist() == [top, left]
+    assert (shown[top : top + height, left : left + height * 20 // 30] == 200).all()
 
 
 def test_a_world_without_zones_can_be_filmed(tmp_path: Path) -> None:

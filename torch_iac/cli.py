@@ -37,8 +37,9 @@ from torch_iac.replay import N_DECISIONS, Stage, find_stages, relive, stages_at
 from torch_iac.report import save_report
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
 from torch_iac.settings import Train, parse_train, settings_of
+from torch_iac.sheets import ROOM
 from torch_iac.training import World, train
-from torch_iac.video import ROOM, Film, writer_for
+from torch_iac.video import Film, writer_for
 from torch_iac.workers import carry_out, on_processes, on_ray
 from torch_iac.worlds import WORLD_BYTES, WORLDS
 
