@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from tests.synthetic_run import write_run
 from torch_iac import sheets
 from torch_iac.figures import ZONE_COLOURS
-from torch_iac.replay import Stage
 from torch_iac.runs import Run, load_run, region_bounds
+from torch_iac.scenes import Stage
 from torch_iac.sheets import HEIGHT, ROOM, ROOM_AT, WIDTH, Frame, Sheets
 
 WORLD = {"sensor_units": ("m", "cm")}

@@ -11,8 +11,8 @@ from imageio_ffmpeg import count_frames_and_secs
 from PIL import Image, ImageSequence
 
 from tests.synthetic_run import write_run
-from torch_iac.replay import Scene, Stage
 from torch_iac.runs import Run, load_run
+from torch_iac.scenes import Scene, Stage
 from torch_iac.sheets import HEIGHT, ROOM, ROOM_AT, WIDTH
 from torch_iac.video import SMALL, Film, writer_for
 

@@ -33,9 +33,9 @@ from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
 from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
-from torch_iac.replay import N_DECISIONS, Stage, find_stages, relive, stages_at
 from torch_iac.report import save_report
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
+from torch_iac.scenes import N_DECISIONS, Stage, find_stages, relive, stages_at
 from torch_iac.settings import Train, parse_train, settings_of
 from torch_iac.sheets import ROOM
 from torch_iac.training import World, train

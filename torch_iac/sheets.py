@@ -18,8 +18,8 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac.figures import MIXED_COLOUR, ZONE_COLOURS, time_axis
-from torch_iac.replay import Stage
 from torch_iac.runs import WINDOW, Run, region_bounds, zone_shares
+from torch_iac.scenes import Stage
 from torch_iac.space import Dimension
 
 Frame = NDArray[np.uint8]

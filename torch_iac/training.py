@@ -84,7 +84,7 @@ def train(
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
     for _ in _counted(agent.n_decisions, n_decisions):
         sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
-        step = agent.observe(_outcome(env, sensors, terminated | truncated, info))
+        step = agent.observe(outcome_of(env, sensors, terminated | truncated, info))
         if recorder is not None:
             recorder.record(step, info.get("zone"))
         is_over = stop()
@@ -174,7 +174,7 @@ def set_world_state(env: World, state: Any) -> None:
         env.set_attr(STATE, state)  # type: ignore[attr-defined]
 
 
-def _outcome(
+def outcome_of(
     env: World, sensors: Any, is_over: NDArray[np.bool_] | Tensor, info: dict[str, Any]
 ) -> Any:
     """Return what the sensors read after the action, in worlds that then began anew too."""

@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from torch_iac.files import replace
-from torch_iac.replay import Scene
 from torch_iac.runs import Run
+from torch_iac.scenes import Scene
 from torch_iac.sheets import HEIGHT, ROOM, ROOM_AT, WIDTH, Frame, Sheets
 
 CARD_SECONDS = 1.5

@@ -1,4 +1,4 @@
-"""Lives decisions of a run again, to look at them: which ones, and that they come out as recorded.
+"""Scenes of a run: decisions that are lived again, and come out as recorded, to be looked at.
 
 Shapes: `T` decisions, `S` sensors, `H` and `W` a picture's height and width.
 """
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from torch_iac.measures import FOCUS_SHARES
 from torch_iac.runs import CONFIG, WINDOW, Run, focus_steps
-from torch_iac.training import World, set_world_state, world_state
+from torch_iac.space import Dimension
+from torch_iac.training import World, outcome_of, set_world_state, world_state
 
 N_DECISIONS = 20
 """How many decisions a stage has, if nobody says otherwise."""
@@ -130,15 +131,11 @@ class _Record:
     def __init__(self, run: Run, agent: int) -> None:
         self._run, self._seed = run, run.seeds[agent]
         self._rows = run.table(agent=agent)
-        self._names = [dimension.name for dimension in run.space.sensors]
-        actions = [f"action/{dimension.name}" for dimension in run.space.actions]
-        self._actions = _columns(self._rows, actions)  # (T, actions)
-        # What is sensed before each decision, and after the last only the outcome, (T + 1, S).
-        sensed = _columns(self._rows, [f"sensor/{name}" for name in self._names])
-        last = np.full((1, len(self._names)), np.nan, np.float32)
-        outcomes = [f"outcome/{dimension.name}" for dimension in run.space.outcomes]
-        last[0, list(run.space.outcome_columns)] = _columns(self._rows, outcomes)[-1]
-        self._sensed = np.concatenate([sensed, last])
+        space = run.space
+        self._columns = list(space.outcome_columns)
+        self._actions = _recorded(self._rows, "action", space.actions)
+        self._sensors = _recorded(self._rows, "sensor", space.sensors)
+        self._outcomes = _recorded(self._rows, "outcome", space.outcomes)
 
     def row(self, decision: int) -> dict[str, Any]:
         """Return what was recorded of a decision."""
@@ -148,24 +145,36 @@ class _Record:
     def begin(self, world: World) -> None:
         """Put a world where the robot's began."""
         sensors, _ = world.reset(seed=[self._seed])  # type: ignore[arg-type]  # a list is fine
-        self._check(0, sensors)
+        self._check_sensors(0, sensors)
 
     def live(self, world: World, decision: int) -> None:
         """Let a decision happen again."""
-        sensors, *_ = world.step(self._actions[decision : decision + 1])
-        self._check(decision + 1, sensors)
+        action = self._actions[decision : decision + 1]
+        sensors, _, terminated, truncated, info = world.step(action)
+        outcome = _array(outcome_of(world, sensors, terminated | truncated, info))
+        names = [f"the next {dimension.name}" for dimension in self._run.space.outcomes]
+        self._check(decision, names, outcome[self._columns], self._outcomes[decision])
+        if decision + 1 < len(self._sensors):
+            self._check_sensors(decision + 1, sensors)
 
-    def _check(self, decision: int, sensors: Any) -> None:
-        """Refuse sensors, shape `(1, S)`, that are not those recorded before a decision."""
-        got, recorded = torch.as_tensor(sensors).numpy(force=True)[0], self._sensed[decision]
-        differing = np.flatnonzero((got != recorded) & ~np.isnan(recorded))
-        if len(differing):
-            sensor = differing[0]
-            raise ValueError(
-                f"{self._names[sensor]} must be {recorded[sensor]} before decision {decision} as "
-                f"{self._run.folder} records, got {got[sensor]}; its {CONFIG} says with which "
-                "versions it was made"
-            )
+    def _check_sensors(self, decision: int, sensors: Any) -> None:
+        names = [dimension.name for dimension in self._run.space.sensors]
+        self._check(decision, names, _array(sensors), self._sensors[decision])
+
+    def _check(
+        self,
+        decision: int,
+        names: Sequence[str],
+        got: NDArray[np.float32],
+        recorded: NDArray[np.float32],
+    ) -> None:
+        """Refuse what does not read as recorded at a decision."""
+        for name, value, known in zip(names, got, recorded, strict=True):
+            if value != known:
+                raise ValueError(
+                    f"{name} must be {known} at decision {decision} as {self._run.folder} records, "
+                    f"got {value}; its {CONFIG} says with which versions it was made"
+                )
 
 
 def _in_order(run: Run, firsts: Mapping[str, int], n_decisions: int) -> list[Stage]:
@@ -176,8 +185,16 @@ def _in_order(run: Run, firsts: Mapping[str, int], n_decisions: int) -> list[Sta
     ]
 
 
-def _columns(rows: pa.Table, names: Sequence[str]) -> NDArray[np.float32]:
-    return np.stack([rows[name].to_numpy() for name in names], axis=1).astype(np.float32)
+def _recorded(rows: pa.Table, kind: str, of: Sequence[Dimension]) -> NDArray[np.float32]:
+    """Return what was recorded of some dimensions, shape `(T, dimensions)`."""
+    columns = [rows[f"{kind}/{dimension.name}"].to_numpy() for dimension in of]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def _array(sensors: Any) -> NDArray[np.float32]:
+    """Return what the robot of a single world senses, shape `(S,)`."""
+    values: NDArray[np.float32] = torch.as_tensor(sensors).numpy(force=True)[0]
+    return values
 
 
 def _pictures(camera: World) -> list[NDArray[np.uint8]]:
