@@ -1,51 +1,204 @@
 """What the studies share: robots that develop in a toy room, several runs at once, each kept."""
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from tqdm import tqdm
 
 import torch_iac as iac
 import torch_iac_envs  # noqa: F401 - registers the worlds
+from torch_iac.files import dump_json, write_table
+from torch_iac.generalisation import Transitions, collect, errors_on
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
-from torch_iac.training import train
+from torch_iac.space import SensorimotorSpace
 
 WORLD = "torch_iac_envs/ToyRoom-v0"
+KINEMATIC = "torch_iac_envs/ToyRoomKinematic-v0"
+
+F2 = 1
+"""The zone that is hard and can be learnt."""
+
+TEST_SETS = {"met": False, "anywhere": True}
+"""Whether each action starts from a pose drawn over the room, or from where random ones led."""
+
+N_TESTED = 250
+"""How many transitions a test set has."""
+
+TEST_SEED = 1_000_000
+"""Seeds the test sets; no robot has it."""
+
+TESTS = "generalisation.parquet"
+"""What a run folder keeps the generalisation tests in."""
+
+COSTS = "costs.json"
+"""What it keeps in which the robots' time and memory."""
 
 
 @dataclass(frozen=True)
 class Life:
-    """A run: where it is kept, its numbers, each robot's seed, how long, and in which world."""
+    """A run: robots, and what is done with them.
+
+    Attributes:
+        folder: Where it is kept.
+        config: The robots' numbers.
+        seeds: One for each robot.
+        n_decisions: How long it is.
+        world: Where they live.
+        options: The world's arguments.
+        test_every: How many decisions lie between two generalisation tests; none without it.
+    """
 
     folder: Path
     config: iac.IACConfig
     seeds: Sequence[int]
     n_decisions: int
     world: str = WORLD
+    options: Mapping[str, Any] = field(default_factory=dict)
+    test_every: int | None = None
 
 
 def live(life: Life) -> None:
     """Let its robots develop, unless the run is there already."""
-    if (life.folder / "summary.json").exists():
+    live_together([life])
+
+
+def live_together(lives: Sequence[Life]) -> None:
+    """Let the robots of several runs develop side by side, as one vector of worlds.
+
+    What a world does depends on its own seed only, so the runs are those that would have been.
+
+    Args:
+        lives: Runs of one length, in one kind of world; those that are there already are left out.
+    """
+    lives = [life for life in lives if not (life.folder / "summary.json").exists()]
+    if not lives:
         return
     torch.set_num_threads(1)
-    env = gym.make_vec(life.world, num_envs=len(life.seeds))
-    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    agent = iac.IAC(space, life.config, life.seeds)
-    described = {"iac": life.config.to_json(), "world": {"id": life.world}}
-    with Recorder(life.folder, agent, env.metadata["zone_names"], described) as recorder:
-        train(agent, env, life.n_decisions, recorder)
+    seeds = [seed for life in lives for seed in life.seeds]
+    env = gym.make_vec(lives[0].world, num_envs=len(seeds), **lives[0].options)
+    with ExitStack() as stack:
+        groups = [_Robots(life, env, stack) for life in lives]
+        sensors, _ = env.reset(seed=seeds)  # type: ignore[arg-type]  # a list is fine
+        for _ in range(lives[0].n_decisions):
+            actions = [robots.act(mine) for robots, mine in _shared(groups, sensors)]
+            join = torch.cat if isinstance(sensors, torch.Tensor) else np.concatenate
+            sensors, _, _, _, info = env.step(join(actions))
+            after = _shared(groups, sensors, info["zone"])
+            for robots, mine, zones in after:
+                robots.observe(mine, zones)
+        for robots in groups:
+            robots.close()
     env.close()
 
 
 def live_all(lives: Iterable[Life], processes: int) -> list[Run]:
-    """Let robots develop, some at once, and return their runs in order."""
+    """Let robots develop, some runs at once, and return their runs in order."""
     lives = list(lives)
     with ProcessPoolExecutor(processes) as pool:
-        list(tqdm(pool.map(live, lives), total=len(lives), unit="robot", disable=None))
+        list(tqdm(pool.map(live, lives), total=len(lives), unit="run", disable=None))
     return [load_run(life.folder) for life in lives]
+
+
+class _Robots:
+    """The robots of a run while they develop.
+
+    Args:
+        life: The run.
+        env: Their worlds, and maybe others'.
+        stack: Closes the run's folder in the end.
+    """
+
+    def __init__(self, life: Life, env: Any, stack: ExitStack) -> None:
+        self._life = life
+        space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+        self.agent = iac.IAC(space, life.config, life.seeds)
+        world = {"id": life.world, "options": dict(life.options)}
+        described = {"iac": life.config.to_json(), "world": world}
+        zones = env.metadata["zone_names"]
+        self._recorder = stack.enter_context(Recorder(life.folder, self.agent, zones, described))
+        self._tests: list[dict[str, Any]] = []
+        self._seconds = 0.0
+
+    def act(self, sensors: Any) -> Any:
+        """Return the robots' actions."""
+        started = time.process_time()
+        actions = self.agent.act(sensors)
+        self._seconds += time.process_time() - started
+        return actions
+
+    def observe(self, sensors: Any, zones: Any) -> None:
+        """Learn, keep what happened, and test now and then."""
+        started = time.process_time()
+        step = self.agent.observe(sensors)
+        self._seconds += time.process_time() - started
+        self._recorder.record(step, zones)
+        every = self._life.test_every
+        if every and self.agent.n_decisions % every == 0:
+            options = tuple(self._life.options.items())
+            self._tests += _tested(self.agent, _test_sets(self._life.world, options))
+
+    def close(self) -> None:
+        """Keep the tests, and what the robots cost."""
+        if self._tests:
+            columns = {name: [test[name] for test in self._tests] for name in self._tests[0]}
+            write_table(self._life.folder / TESTS, pa.table(columns))
+        kept = sum(tensor.nbytes for tensor in self.agent.state().values())
+        costs = dump_json({"agent_seconds": self._seconds, "state_bytes": kept})
+        (self._life.folder / COSTS).write_bytes(costs)
+
+
+def _shared(groups: Sequence[_Robots], *rows: Any) -> Iterator[tuple[Any, ...]]:
+    """Give each group of robots its part of some rows."""
+    start = 0
+    for robots in groups:
+        mine = slice(start, start := start + robots.agent.n_agents)
+        yield robots, *(of[mine] for of in rows)
+
+
+def _tested(agent: iac.IAC, sets: Mapping[str, Transitions]) -> list[dict[str, Any]]:
+    """Return a row for each robot and each set."""
+    return [
+        {"step": agent.n_decisions, "seed": seed, "set": name, "absolute": a, "squared": s}
+        for name, transitions in sets.items()
+        for found in [errors_on(transitions, agent)]
+        for seed, a, s in zip(agent.seeds, found.absolute, found.squared, strict=True)
+    ]
+
+
+@cache
+def _test_sets(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
+    """Return what is set aside in a world: transitions in f2, of two kinds."""
+    env = gym.make_vec(world, num_envs=1, **dict(options))
+    space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+    sets = {
+        name: collect(env, space, N_TESTED, seed=TEST_SEED, zone=F2, anew=anew)
+        for name, anew in TEST_SETS.items()
+    }
+    env.close()
+    return sets
+
+
+def tests_of(runs: Sequence[Run], which: str, error: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return when robots were tested, shape `(P,)`, and their errors, shape `(P, A)`, by seed.
+
+    Args:
+        runs: Their runs.
+        which: On which of `TEST_SETS`.
+        error: Which error, absolute or squared, in scaled units.
+    """
+    tables = [pq.read_table(run.folder / TESTS, filters=[("set", "=", which)]) for run in runs]
+    rows = pa.concat_tables(tables).sort_by([("step", "ascending"), ("seed", "ascending")])
+    steps = np.unique(rows["step"].to_numpy())
+    return steps, rows[error].to_numpy().reshape(len(steps), -1)

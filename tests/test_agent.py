@@ -123,6 +123,38 @@ def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
         check_step(space, robot, agent.observe(sensors))
 
 
+@pytest.mark.parametrize("experts", [KNNExperts(), MLPExperts(hidden=(8,), minibatches=1)])
+def test_predictions_on_request_are_those_of_decisions(
+    space: SensorimotorSpace, experts: Experts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent = IAC(space, replace(SMALL, experts=experts), seeds=range(3))
+    live(agent, 100)
+    world = Pendulum([0, 1, 2])
+    sensors = world.reset()
+    actions = agent.act(sensors)
+    every = agent.predict(actions, sensors)  # of each agent, what each one is about to do
+    monkeypatch.setattr("torch_iac.agent.PREDICTED_AT_ONCE", 6)
+    np.testing.assert_array_equal(agent.predict(actions, sensors), every)
+    step = agent.observe(world.step(actions))
+    own = every[range(3), range(3)]
+    np.testing.assert_allclose(own, step.predictions.numpy(), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("actions", "sensors", "message"),
+    [
+        ([[0.0]], [[0.0, 0.0]], r"actions must have the shape \(situations, actions\) = \(1, 2\)"),
+        ([[0.0, 5.0]], [[0.0, 9.0]], r"sensor far must lie in .* got 9 from situation 0"),
+        ([[7.0, 5.0]], [[0.0, 0.0]], r"action push must lie in .* got 7 from situation 0"),
+    ],
+)
+def test_predictions_are_of_situations_within_bounds(
+    space: SensorimotorSpace, actions: list[list[float]], sensors: list[list[float]], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        IAC(space).predict(np.array(actions), np.array(sensors))
+
+
 def assert_same(one: Step, other: Step, agent: int, other_agent: int) -> None:
     """One agent's decision is another's, to the bit."""
     for name, value in vars(one).items():

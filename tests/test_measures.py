@@ -8,8 +8,8 @@ import pytest
 
 from tests.synthetic_run import write_run
 from torch_iac import measures
-from torch_iac.measures import calibration, summarise
-from torch_iac.runs import Run, load_run
+from torch_iac.measures import calibration, leaf_purity, summarise
+from torch_iac.runs import Run, final_leaves, load_run
 
 N_AGENTS, N_DECISIONS = 3, 1600
 
@@ -150,3 +150,20 @@ def test_a_world_without_zones_has_a_summary_too(tmp_path: Path) -> None:
     assert summary["n_regions"] == 2.0
     assert summary["focus"] == {}
     assert "zone_shares" not in summary
+
+
+def test_leaves_are_pure_where_cuts_part_zones(run: Run) -> None:
+    """The made-up robots cut along the sound first, so hardly a leaf hears two zones."""
+    purity = leaf_purity(run)
+    by_hand = [
+        sum(
+            np.bincount(run.column("zone")[leaves == leaf, agent]).max()
+            for leaf in np.unique(leaves)
+        )
+        / run.n_decisions
+        for agent, leaves in enumerate(final_leaves(run).T)
+    ]
+    np.testing.assert_allclose(purity, by_hand)
+    assert (purity > 0.95).all()
+    shuffled = np.random.default_rng(0).permuted(run.column("zone"), axis=0)
+    assert (leaf_purity(run, shuffled) < 0.8).all()

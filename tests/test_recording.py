@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
 from torch_iac import recording, runs
 from torch_iac.agent import Step
-from torch_iac.recording import Recorder, region_table, write_config
+from torch_iac.recording import Recorder, log_interval, region_table, write_config
 from torch_iac.runs import load_run
 
 COLUMNS = [
@@ -397,3 +397,11 @@ def test_whatever_is_recorded_comes_back_and_windows_add_up(
             assert counts[..., zone].sum(axis=0).tolist() == here.sum(axis=0).tolist()
             np.testing.assert_allclose(sums[..., zone].sum(axis=0), (errors * here).sum(axis=0))
         recorder._dashboard.close()
+
+
+def test_logs_become_fewer_as_a_run_grows_old() -> None:
+    """Each interval divides the next, so that logs stay due at whole numbers of the first."""
+    ages = [1, 99_999, 100_000, 200_000, 799_999, 800_000]
+    assert [log_interval(age, 100) for age in ages] == [100, 100, 200, 400, 800, 1600]
+    n_logs = [sum(n % log_interval(n, 1) == 0 for n in range(1, 500 * 2**k)) for k in range(1, 7)]
+    assert n_logs == [999 + 500 * k for k in range(6)]

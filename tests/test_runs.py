@@ -19,6 +19,7 @@ from torch_iac.runs import (
     ancestors,
     by_decile,
     error_curves,
+    final_leaves,
     focus_steps,
     known_mean,
     load_run,
@@ -331,3 +332,14 @@ def test_a_region_has_the_zone_of_most_of_its_decisions(run: Run) -> None:
         else:
             assert cover.zone[region] == -1
             assert np.isnan(cover.purity[region])
+
+
+def test_a_decision_ends_in_the_leaf_that_came_of_its_region(run: Run) -> None:
+    leaves, regions = final_leaves(run), run.column("region")
+    for agent in range(run.n_agents):
+        is_leaf = run.family(agent)["split_step"].to_numpy() < 0
+        assert is_leaf[leaves[:, agent]].all()
+        last = run.family(agent)["split_step"].to_numpy().max()
+        np.testing.assert_array_equal(leaves[last + 1 :, agent], regions[last + 1 :, agent])
+        for leaf, region in zip(leaves[:, agent], regions[:, agent], strict=True):
+            assert region == leaf or region in ancestors(run, int(leaf), agent)

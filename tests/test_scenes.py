@@ -105,7 +105,7 @@ def test_pybullets_room_lives_again_to_the_last_bit_and_is_filmed(tmp_path: Path
 class Stairs(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Four steps up, then from the bottom again; its picture is as bright as it is high."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
 
     def __init__(self) -> None:
         self.render_mode, self.full_state = "rgb_array", 0
@@ -126,16 +126,16 @@ class Stairs(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def test_a_life_of_many_episodes_lives_again_to_its_last_outcome(tmp_path: Path) -> None:
-    worlds = [
+    first, world, camera = (
         gym.vector.SyncVectorEnv([Stairs], autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
         for _ in range(3)
-    ]
-    agent = IAC(SensorimotorSpace.from_env(worlds[0]), seeds=[0])
+    )
+    agent = IAC(SensorimotorSpace.from_env(first), seeds=[0])
     with Recorder(tmp_path, agent) as recorder:
-        train(agent, worlds[0], 8, recorder)
+        train(agent, first, 8, recorder)
     run = load_run(tmp_path)
     assert run.column("outcome/0")[:, 0].tolist() == [1, 2, 3, 4, 1, 2, 3, 4]
-    scenes = list(relive(run, [Stage("", 2, 6)], *worlds[1:]))
+    scenes = list(relive(run, [Stage("", 2, 6)], world, camera))
     assert [int(scene.pictures[0].max()) for scene in scenes] == [3, 0, 1, 2, 3, 0]
 
 

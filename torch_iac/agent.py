@@ -15,12 +15,15 @@ from torch_iac.experts import ExpertPool
 from torch_iac.progress import ErrorHistory
 from torch_iac.randomness import RandomStream
 from torch_iac.regions import Genealogy, RegionTree, best_cut
-from torch_iac.space import Dimension, Scale, SensorimotorSpace
+from torch_iac.space import Scale, SensorimotorSpace
 from torch_iac.state import State, Stateful
 
 Array = TypeVar("Array", np.ndarray, Tensor)
 
 CHOICE_STREAM = 0
+
+PREDICTED_AT_ONCE = 4096
+"""Of so many situations, over all agents, the experts are asked at once: each brings its own."""
 
 
 @dataclass(frozen=True)
@@ -260,6 +263,30 @@ class IAC(Stateful):
         self._decision = None
         return step
 
+    @torch.no_grad()
+    def predict(self, actions: Array, sensors: Array) -> Array:
+        """Return what each agent expects to come of some situations; it learns nothing from them.
+
+        Args:
+            actions: Shape `(N, action_dim)`, in raw units, as an array or a tensor.
+            sensors: Shape `(N, sensor_dim)`, before the actions, alike.
+
+        Returns:
+            Shape `(A, N, K)`, in raw units, float32, an array or a tensor like `sensors`.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is NaN or outside its bounds.
+        """
+        parts = [
+            self._scaled(actions, "actions", len(sensors), self._action_scale),
+            self._scaled(sensors, "sensors", len(sensors), self._sensor_scale),
+        ]
+        at_once = max(1, PREDICTED_AT_ONCE // self.n_agents)
+        situations = torch.split(torch.cat(parts, dim=1), at_once)
+        predictions = torch.cat([self._expected_outcomes(of) for of in situations], dim=1)
+        predictions = self._outcome_scale.to_raw(predictions)
+        return predictions.cpu().numpy() if isinstance(sensors, np.ndarray) else predictions
+
     def state(self) -> State:
         """Return a copy of all that the future decisions depend on, besides the world.
 
@@ -308,22 +335,26 @@ class IAC(Stateful):
 
     def _checked(self, sensors: Array) -> Tensor:
         expected = (self.n_agents, len(self.space.sensors))
-        if tuple(sensors.shape) != expected:
-            raise ValueError(
-                f"sensors must have the shape (agents, sensors) = {expected}, "
-                f"got {tuple(sensors.shape)}"
-            )
-        given = torch.from_numpy(sensors) if isinstance(sensors, np.ndarray) else sensors
-        # A copy, since worlds reuse their buffers.
-        readings = given.to(self.device, torch.float32, copy=True)
+        readings = self._given(sensors, "sensors", "agents", expected)
         if not self._asks_late:
-            self._refuse_outside(readings)
+            self._sensor_scale.check(readings, "sensor", "agent")
         return readings
 
-    def _refuse_outside(self, readings: Tensor) -> None:
-        if not self._sensor_scale.contains(readings):
-            agent, column = self._sensor_scale.outside(readings).nonzero()[0].tolist()
-            raise ValueError(_outside(self.space.sensors[column], agent, readings[agent, column]))
+    def _given(self, values: Array, what: str, rows: str, expected: tuple[int, int]) -> Tensor:
+        """Return a copy, since worlds reuse their buffers, of values of the right shape."""
+        if tuple(values.shape) != expected:
+            raise ValueError(
+                f"{what} must have the shape ({rows}, {what}) = {expected}, "
+                f"got {tuple(values.shape)}"
+            )
+        given = torch.from_numpy(values) if isinstance(values, np.ndarray) else values
+        return given.to(self.device, torch.float32, copy=True)
+
+    def _scaled(self, values: Array, what: str, n_rows: int, scale: Scale) -> Tensor:
+        """Return values of situations that need not be the present ones, in the unit cube."""
+        given = self._given(values, what, "situations", (n_rows, len(scale.dimensions)))
+        scale.check(given, what.removesuffix("s"), "situation")
+        return scale.to_unit(given)
 
     def _candidates(self, readings: Tensor, numbers: Tensor) -> tuple[Candidates, Tensor]:
         actions = numbers.reshape(self.n_agents, self.config.n_candidates, len(self.space.actions))
@@ -351,6 +382,13 @@ class IAC(Stateful):
         difference = (predictions - outcomes).double()
         size = difference.abs_() if self.config.error == "absolute" else difference.square_()
         return predictions, size.mean(dim=1)
+
+    def _expected_outcomes(self, situations: Tensor) -> Tensor:
+        """Return what each agent expects of situations `(N, D)`, shape `(A, N, K)`, scaled."""
+        asked = situations.expand(self.n_agents, -1, -1)
+        rows = self.tree.rows.take(self.tree.route(asked))
+        predictions = self.experts.predict(self.examples, rows.flatten(), asked.flatten(0, 1))
+        return predictions.view(*rows.shape, -1)
 
     def _expected_errors(self, situations: Tensor) -> Tensor | None:
         return self.meta.expect(situations[:, None])[:, 0] if self.meta else None
@@ -393,7 +431,7 @@ class IAC(Stateful):
         *is_wrong, is_full = torch.stack([flags.any() for flags in (*wrong, full)]).tolist()
         if any(is_wrong):
             for seen in (decision.sensors, readings):
-                self._refuse_outside(seen)
+                self._sensor_scale.check(seen, "sensor", "agent")
             for loss in losses:
                 self._refuse_infinite(loss, decision.nodes)
         return bool(is_full)
@@ -440,10 +478,3 @@ def available_device(device: torch.device | str) -> torch.device:
         return probe.device
     except (RuntimeError, AssertionError, ImportError):
         raise ValueError(f"device must be one that this machine has, got {device}") from None
-
-
-def _outside(sensor: Dimension, agent: int, value: Tensor) -> str:
-    return (
-        f"sensor {sensor.name} must lie in [{sensor.low:g}, {sensor.high:g}], "
-        f"got {value.item():g} from agent {agent}"
-    )

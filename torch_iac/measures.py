@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from torch_iac.runs import WINDOW, Run, by_decile, focus_steps, known_mean
+from torch_iac.runs import WINDOW, Run, by_decile, final_leaves, focus_steps, known_mean
 
 FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
 """The share of a window that counts as a focus on a zone, for the zones of the 2004 paper."""
@@ -91,6 +91,30 @@ def calibration(run: Run) -> Calibration:
         {name: within(zones == zone) for zone, name in enumerate(run.zone_names)},
         *by_decile(expected, actual),
     )
+
+
+def leaf_purity(run: Run, zones: NDArray[np.integer[Any]] | None = None) -> NDArray[np.float64]:
+    """Return which share of each agent's decisions lies in a leaf that is mostly of their zone.
+
+    Leaves are those that there are when the run ends. With one leaf it is the share of the zone
+    that the agent was in most.
+
+    Args:
+        run: A run in a world with zones.
+        zones: The zone of each decision, shape `(T, A)`, if not as they were; shuffled ones show
+            what chance makes of as many leaves.
+
+    Returns:
+        Shape `(A,)`, of the recorded agents.
+    """
+    zones = run.column("zone") if zones is None else zones
+    leaves, n_zones = final_leaves(run), len(run.zone_names)
+    purity = np.empty(run.n_recorded)
+    for agent in range(run.n_recorded):
+        counts = np.bincount(leaves[:, agent] * n_zones + zones[:, agent], minlength=n_zones)
+        padded = np.pad(counts, (0, -len(counts) % n_zones))
+        purity[agent] = padded.reshape(-1, n_zones).max(axis=1).sum() / len(leaves)
+    return purity
 
 
 def summarise(run: Run, seconds: float) -> dict[str, Any]:

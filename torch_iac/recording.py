@@ -49,6 +49,10 @@ DECISIONS_PER_PART = 2000
 ROWS_PER_PART = 2**19
 """At most so many rows, a decision of an agent each, are kept in memory."""
 
+LOGS_AN_OCTAVE = 500
+"""TensorBoard gets at most twice as many logs at first, then so many each time that the number of
+decisions doubles: its files stay small, and it shows a sample of 1,000 of them anyway."""
+
 N_SHOWN = 64
 """TensorBoard tells of the regions of so many agents, the first: they are looked up at each log."""
 
@@ -115,7 +119,8 @@ class Recorder:
         zone_names: The names of the world's zones, if it has any.
         config: What else `config.json` shall hold, besides the space, the seeds, the zones and the
             names of the shadows.
-        log_every: How many decisions lie between two logs to TensorBoard.
+        log_every: How many decisions lie between two logs to TensorBoard, at first; in a long run
+            they become fewer, as `log_interval` says.
         rows_per_part: At most so many rows (a decision of an agent) are kept in memory.
         n_recorded: Of how many agents, the first, every decision is recorded; of all by default.
         resume: Whether the folder holds this run already, begun before.
@@ -223,7 +228,7 @@ class Recorder:
         if self._first_decision < 0:
             self._first_decision = step.number
         n_decisions = step.number + 1
-        is_log_due = n_decisions % self._log_every == 0
+        is_log_due = n_decisions % log_interval(n_decisions, self._log_every) == 0
         if is_log_due or (n_decisions - self._first_decision) % WINDOW == 0:
             self._settle()
         if is_log_due:
@@ -298,6 +303,16 @@ class Recorder:
         else:
             self.flush()
             self._dashboard.close()
+
+
+def log_interval(n_decisions: int, log_every: int) -> int:
+    """Return how many decisions lie between two logs to TensorBoard, at some age of a run.
+
+    `log_every`, doubled each time that the decisions taken double beyond the first
+    `LOGS_AN_OCTAVE` intervals, twice.
+    """
+    octave = n_decisions // (log_every * LOGS_AN_OCTAVE)
+    return log_every << max(0, octave.bit_length() - 1)
 
 
 def write_config(folder: Path, config: Mapping[str, Any]) -> None:

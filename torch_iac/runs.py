@@ -3,7 +3,7 @@
 Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -361,6 +361,41 @@ def region_zones(run: Run, agent: int = 0) -> RegionZones:
     total = counts.sum(axis=1)
     share = np.divide(counts.max(axis=1), total, out=np.full(len(total), np.nan), where=total > 0)
     return RegionZones(np.where(total > 0, counts.argmax(axis=1), -1), share)
+
+
+def final_leaves(run: Run) -> NDArray[np.int64]:
+    """Return the leaf in which each situation lies when the run ends, shape `(T, A)`.
+
+    That is the recorded `region`, or one that came of it by later splits; of recorded agents.
+    """
+    kinds = {"action": run.space.actions, "sensor": run.space.sensors}
+    situations = {
+        dimension.name: run.column(f"{kind}/{dimension.name}")
+        for kind, dimensions in kinds.items()
+        for dimension in dimensions
+    }
+    leaves = np.zeros((run.n_decisions, run.n_recorded), np.int64)
+    for agent in range(run.n_recorded):
+        mine = {name: values[:, agent] for name, values in situations.items()}
+        _route(leaves[:, agent], run.family(agent).to_pylist(), mine)
+    return leaves
+
+
+def _route(
+    regions: NDArray[np.int64],
+    family: Sequence[Mapping[str, Any]],
+    situations: Mapping[str, NDArray[np.float32]],
+) -> None:
+    """Move situations from the root to their leaves, in place; parents come before children."""
+    children: dict[int, list[int]] = {}
+    for row in family:
+        children.setdefault(row["parent"], []).append(row["region"])
+    for row in family:
+        if row["split_step"] >= 0:
+            here = np.flatnonzero(regions == row["region"])
+            above = situations[row["cut_dimension"]][here] > row["cut_value"]
+            left, right = children[row["region"]]
+            regions[here] = np.where(above, right, left)
 
 
 def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:

@@ -132,7 +132,7 @@ class Train:
     world_options: tuple[str, ...] = ()
     """Arguments of the world, such as beams=4 sensor_noise=0."""
     log_every: int = 100
-    """How many decisions lie between two logs to TensorBoard."""
+    """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
     """Every decision of every robot is recorded if that makes at most so many rows, of about 65
     bytes each on disk; otherwise those of the first robots only, and tallies of all."""

@@ -6,7 +6,7 @@ Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dime
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Literal, Self
 
 import gymnasium as gym
@@ -56,9 +56,13 @@ class Scale:
     Args:
         dimensions: The row.
         device: Where values will be scaled.
+
+    Attributes:
+        dimensions: The row.
     """
 
     def __init__(self, dimensions: Sequence[Dimension], device: torch.device) -> None:
+        self.dimensions = tuple(dimensions)
         bounds = torch.tensor([(d.low, d.high) for d in dimensions], dtype=torch.float64)
         low, high = bounds.unbind(1)
         span, slack = high - low, OUTSIDE_TOLERANCE * (high - low)
@@ -85,6 +89,26 @@ class Scale:
     def outside(self, raw: Tensor) -> Tensor:
         """Return which values `(..., n)` `contains` objects to."""
         return raw.clamp(self._least, self._most) != raw  # NaN differs from itself
+
+    def check(self, raw: Tensor, what: str, whose: str) -> None:
+        """Refuse values `(n_rows, n)` that `contains` objects to.
+
+        Args:
+            raw: The values.
+            what: What a column is, such as "sensor".
+            whose: What a row is, such as "agent".
+
+        Raises:
+            ValueError: There are some; the message names the first.
+        """
+        if self.contains(raw):
+            return
+        row, column = self.outside(raw).nonzero()[0].tolist()
+        name, low, high = astuple(self.dimensions[column])
+        value = raw[row, column].item()
+        raise ValueError(
+            f"{what} {name} must lie in [{low:g}, {high:g}], got {value:g} from {whose} {row}"
+        )
 
 
 @dataclass(frozen=True)
