@@ -105,7 +105,7 @@ def test_pybullets_room_lives_again_to_the_last_bit_and_is_filmed(tmp_path: Path
 class Stairs(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Four steps up, then from the bottom again; its picture is as bright as it is high."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}  # type: ignore[misc]
 
     def __init__(self) -> None:
         self.render_mode, self.full_state = "rgb_array", 0
@@ -121,7 +121,7 @@ class Stairs(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.full_state += 1
         return np.full(1, self.full_state, np.float32), 0.0, self.full_state == 4, False, {}
 
-    def render(self) -> NDArray[np.uint8]:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8]:
         return np.full((2, 2, 3), self.full_state, np.uint8)
 
 
