@@ -61,11 +61,11 @@ def project(points: Array, room: Room) -> Array:
 def draw(study: Study) -> None:
     """Write the picture."""
     room = Room()
-    physics = Physics(room, BEAMS, substeps=8)
+    physics = Physics(room, BEAMS, substeps=8, picture_size=(WIDTH, HEIGHT))
     physics.seat(resting_state(room, study.robot, study.heading, study.toy))
     figure = plt.figure(figsize=(9.6, 7.2))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.imshow(physics.picture(WIDTH, HEIGHT), interpolation="antialiased")
+    axes.imshow(physics.picture(), interpolation="antialiased")
     _draw_sensing(axes, study, room, physics.sense())
     axes.set(xlim=(0, WIDTH), ylim=(0.95 * HEIGHT, 0.08 * HEIGHT))
     axes.axis("off")

@@ -18,6 +18,8 @@ from unittest import mock
 import pyarrow.parquet as pq
 import pytest
 import torch
+from imageio_ffmpeg import count_frames_and_secs
+from PIL import Image, ImageSequence
 
 from torch_iac import (
     PRESETS,
@@ -34,6 +36,7 @@ from torch_iac.cli import main
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
 from torch_iac.settings import DRIVES, DriveName
+from torch_iac_envs.kinematic import ToyRoomKinematic
 
 SCRIPT = Path(sysconfig.get_path("scripts")) / "torch-iac"
 
@@ -321,6 +324,45 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
     assert all((folder / "figures" / name).stat().st_size for name in names)
 
 
+def test_a_run_is_filmed_into_its_folder(tmp_path: Path) -> None:
+    folder = train(tmp_path / "a").folder
+    answer = typed("replay", folder, "--at", "3", "--decisions", "1")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out == f"{folder / 'figures' / 'replay.mp4'}\n"
+    title = 15
+    assert count_frames_and_secs(folder / "figures" / "replay.mp4") == (title + 5, 2.0)
+
+
+def test_a_robot_of_a_population_is_filmed_where_asked(tmp_path: Path) -> None:
+    run = train(tmp_path / "a", "--world", "kinematic", "--agents", "2", "--world-options=beams=0")
+    out = tmp_path / "film.gif"
+    answer = typed("replay", run.folder, "--agent", "1", "--decisions", "2", "--out", out)
+    assert (answer.code, answer.out, answer.err) == (0, f"{out}\n", "")
+    with Image.open(out) as film:
+        n_frames = sum(1 for _ in ImageSequence.Iterator(film))
+    assert n_frames == 6  # two titles, and two decisions each
+
+
+def test_a_run_that_cannot_be_filmed_is_refused_with_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = train(tmp_path / "a", "--world", "kinematic").folder
+    before = fingerprints(folder)
+    for words, sentence in (
+        ("--at 5", "decisions must lie in [0, 5), got 5"),
+        ("--agent 1", "agent must lie in [0, 1), got 1"),
+        ("--out film.avi", "a film must be a .mp4 or a .gif, got film.avi"),
+    ):
+        answer = typed("replay", folder, *words.split())
+        assert (answer.code, answer.out, answer.err) == (2, "", f"torch-iac: {sentence}\n")
+    monkeypatch.setitem(ToyRoomKinematic.metadata, "render_modes", [])
+    answer = typed("replay", folder)
+    assert answer.err == (
+        f"torch-iac: the world of {folder} draws no pictures, so it cannot be replayed\n"
+    )
+    assert fingerprints(folder) == before
+
+
 # Help.
 
 
@@ -329,6 +371,7 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
     [
         ("train", {"--preset", "--epsilon", "--k"}),
         ("figures", {"--pdf"}),
+        ("replay", {"--at", "--decisions", "--agent", "--out"}),
         ("compare", {"--variant", "--ray"}),
     ],
 )
@@ -369,8 +412,8 @@ BAD_VALUES = [
     ("--world-options beams", "world options must be written name=value, got beams"),
     (
         "--world-options smell=1",
-        "options of toyroom must be among render_mode, beams, toy_direction, sensor_noise, "
-        "actuator_noise, keyframe_every, substeps, got smell",
+        "options of toyroom must be among render_mode, width, height, beams, toy_direction, "
+        "sensor_noise, actuator_noise, keyframe_every, substeps, got smell",
     ),
     ("--world-options beams=four", "beams must be a whole number, got four"),
     ("--world-options beams=2.5", "beams must be a whole number, got 2.5"),
@@ -382,7 +425,7 @@ BAD_VALUES = [
     ("--world-options sensor_noise=1e300", "sensor_noise must be at most 1000.0, got 1e+300"),
     (
         "--world-options render_mode=sketch",
-        "render_mode must be one of (None, 'rgb_array', 'human'), got 'sketch'",
+        "render_mode must be one of (None, 'rgb_array', 'rgb_array_list', 'human'), got 'sketch'",
     ),
     ("--world-options render_mode=[1]", "render_mode must be a text or null, got [1]"),
     (f"--world-options beams={'[' * 9999}", f"beams must be a whole number, got {'[' * 80}"),
@@ -400,8 +443,8 @@ BAD_VALUES = [
     ("--world-options sensor_noise=NaN", "sensor_noise must be at least 0 and finite, got nan"),
     (
         "--world kinematic --world-options device=cpu",
-        "options of kinematic must be among beams, toy_direction, sensor_noise, actuator_noise, "
-        "check_actions, got device",
+        "options of kinematic must be among render_mode, width, height, beams, toy_direction, "
+        "sensor_noise, actuator_noise, check_actions, got device",
     ),
     ("--world kinematic --world-options beams=2.5", "beams must be a whole number, got 2.5"),
     (

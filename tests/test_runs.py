@@ -23,6 +23,7 @@ from torch_iac.runs import (
     focus_steps,
     known_mean,
     load_run,
+    region_bounds,
     region_zones,
     zone_errors,
     zone_shares,
@@ -221,6 +222,29 @@ def write_zones(folder: Path, zones: list[int]) -> Run:
         place = table.column_names.index("zone")
         pq.write_table(table.set_column(place, "zone", [column]), path)
     return load_run(folder)
+
+
+def test_every_situation_lies_within_the_bounds_of_its_region(run: Run) -> None:
+    """And what lies within the bounds of a leaf at the end is in that leaf."""
+    for agent in (0, run.n_agents - 1):
+        steps = run.table(agent=agent)
+        regions = steps["region"].to_numpy()
+        assert region_bounds(run, 0, agent) == {}
+        for region in np.unique(regions):
+            bounds = region_bounds(run, int(region), agent)
+            within = np.ones(len(regions), np.bool_)
+            for name, (low, high) in bounds.items():
+                values = steps[place_of(name)].to_numpy()
+                within &= (values > low - 1e-6) & (values <= high + 1e-6)
+            assert within[regions == region].all()
+            if (regions[-20:] == region).any():
+                assert (regions[-20:][within[-20:]] == region).all()
+
+
+def place_of(name: str) -> str:
+    """Return the column of a dimension of a situation."""
+    kind = "action" if name in [d.name for d in SPACE.actions] else "sensor"
+    return f"{kind}/{name}"
 
 
 def test_focus_begins_with_the_first_window_above_the_share(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, NoReturn
 import gymnasium as gym
 import torch
 import tyro
+from tqdm import tqdm
 
 from torch_iac.agent import IAC
 from torch_iac.checkpoint import Checkpoints, identity
@@ -34,10 +35,16 @@ from torch_iac.recording import Recorder
 from torch_iac.refusals import plain_refusals
 from torch_iac.report import save_report
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
+from torch_iac.scenes import N_DECISIONS, Stage, find_stages, relive, stages_at
 from torch_iac.settings import Train, parse_train, settings_of
+from torch_iac.sheets import ROOM
 from torch_iac.training import World, train
+from torch_iac.video import Film, writer_for
 from torch_iac.workers import carry_out, on_processes, on_ray
-from torch_iac.worlds import WORLD_BYTES
+from torch_iac.worlds import WORLD_BYTES, WORLDS
+
+PICTURE_MODES = ("rgb_array_list", "rgb_array")
+"""How worlds draw pictures: of all moments of a decision, or of its end."""
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
@@ -114,10 +121,8 @@ class Resume:
     def run(self) -> None:
         """Carry the command out."""
         run = load_run(self.run_folder)
-        words = run.config.get("command")
-        if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
-            raise ValueError(f"{self.run_folder} must be a run of torch-iac train, got {words}")
-        settings = settings_of([str(word) for word in words[2:]])
+        words = _words_of(run)
+        settings = settings_of(words[2:])
         steps = self.steps or run.config["steps"]
         if (self.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
             raise ValueError(
@@ -125,6 +130,18 @@ class Resume:
                 f"got {steps}"
             )
         live(replace(settings, steps=steps), self.run_folder, words, resume=True)
+
+
+def _words_of(run: Run) -> list[str]:
+    """Return the command that a run was begun with.
+
+    Raises:
+        ValueError: It was not begun by this command.
+    """
+    words = run.config.get("command")
+    if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
+        raise ValueError(f"{run.folder} must be a run of torch-iac train, got {words}")
+    return [str(word) for word in words]
 
 
 @dataclass(frozen=True)
@@ -259,6 +276,73 @@ class Figures:
             print(path)  # noqa: T201 - the command's answer
 
 
+@dataclass(frozen=True)
+class Replay:
+    """Film a robot of a run at stages of its development, with what it predicts and learns.
+
+    Its world is made again, and its recorded actions happen again.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    at: tuple[int, ...] = ()
+    """Decisions from which on to film; by default the beginning, the first focus on f3 and on f2,
+    and the end."""
+    decisions: int = N_DECISIONS
+    """How many decisions from each of them on."""
+    agent: int = 0
+    """Which robot of a population."""
+    out: Path | None = None
+    """The film: .mp4, or .gif for a small one; by default figures/replay.mp4 in the run folder."""
+
+    def __post_init__(self) -> None:
+        check_count("decisions", self.decisions)
+
+    def run(self) -> None:
+        """Carry the command out."""
+        run = load_run(self.run_folder)
+        out = self.out or run.folder / "figures" / "replay.mp4"
+        writer_for(out)  # refuses a wrong name now
+        run.check_recorded(self.agent)
+        stages = self._stages(run)
+        world, camera = _remake(run)
+        try:
+            scenes = tqdm(
+                relive(run, stages, world, camera, self.agent),
+                unit="decision",
+                total=sum(stage.n_decisions for stage in stages),
+                disable=None,
+            )
+            Film(run, self.agent, camera.metadata).save(scenes, out)
+        finally:
+            world.close()
+            camera.close()
+        print(out)  # noqa: T201 - the command's answer
+
+    def _stages(self, run: Run) -> list[Stage]:
+        if self.at:
+            return stages_at(run, self.at, self.decisions)
+        return find_stages(run, self.agent, self.decisions)
+
+
+def _remake(run: Run) -> tuple[World, World]:
+    """Return the world of one robot of a run, and the same again for looking at.
+
+    Raises:
+        ValueError: It draws no pictures.
+    """
+    settings = settings_of(_words_of(run)[2:])
+    world = settings.make_world(1)
+    modes = [mode for mode in PICTURE_MODES if mode in world.metadata.get("render_modes", ())]
+    if not modes:
+        world.close()
+        raise ValueError(f"the world of {run.folder} draws no pictures, so it cannot be replayed")
+    size = dict(zip(("width", "height"), ROOM, strict=True)) if settings.world in WORLDS else {}
+    looks = [f"{name}={value}" for name, value in {"render_mode": modes[0], **size}.items()]
+    options = (*settings.world_options, *looks)
+    return world, replace(settings, world_options=options).make_world(1)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command.
 
@@ -307,7 +391,7 @@ def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 @plain_refusals()
-def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
+def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures | Replay:
     settings = (tyro.conf.AvoidSubcommands,)
     if arguments[:1] == ["train"]:
         return parse_train(arguments[1:])
@@ -318,11 +402,14 @@ def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures:
         return tyro.cli(Compare, prog="torch-iac compare", args=own, config=settings)
     if arguments[:1] == ["figures"]:
         return tyro.cli(Figures, prog="torch-iac figures", args=arguments[1:], config=settings)
+    if arguments[:1] == ["replay"]:
+        return tyro.cli(Replay, prog="torch-iac replay", args=arguments[1:], config=settings)
     return tyro.cli(  # says which commands there are
         Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Resume, tyro.conf.subcommand("resume")]
         | Annotated[Compare, tyro.conf.subcommand("compare")]
-        | Annotated[Figures, tyro.conf.subcommand("figures")],
+        | Annotated[Figures, tyro.conf.subcommand("figures")]
+        | Annotated[Replay, tyro.conf.subcommand("replay")],
         prog="torch-iac",
         description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
         args=arguments,

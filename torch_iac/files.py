@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,18 @@ _TOO_DEEP = f"JSON must be nested at most {MOST_NESTED} deep, got more"
 
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that, at every moment, its name holds the old content or the new, whole."""
+    """Write a file so that, at every moment, its name holds the old content or the new, whole.
+
+    If writing fails, nothing is left of it.
+    """
     temporary = path.with_name(f".{path.name}.tmp")
-    write(temporary)
-    sync(temporary)
+    try:
+        write(temporary)
+        sync(temporary)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
     temporary.replace(path)
     sync_names(path.parent)
 

@@ -223,12 +223,7 @@ class Run:
         """
         if agent is None:
             return pa.concat_tables([_read_part(path, columns) for path in self.parts()])
-        self._check_agent(agent)
-        if agent >= self.n_recorded:
-            raise ValueError(
-                f"agent must be one of the first {self.n_recorded} of {self.n_agents}, whose steps "
-                f"are recorded, got {agent}"
-            )
+        self.check_recorded(agent)
         return pa.concat_tables(
             part.take(np.arange(agent, part.num_rows, self.n_recorded))
             for part in (_read_part(path, columns) for path in self.parts())
@@ -243,6 +238,19 @@ class Run:
         """Return the regions of one agent; row `i` is region `i`."""
         self._check_agent(agent)
         return self.regions.filter(pc.field("agent") == agent)
+
+    def check_recorded(self, agent: int) -> None:
+        """Refuse an agent that is not there or whose steps are not recorded.
+
+        Raises:
+            ValueError: It is so.
+        """
+        self._check_agent(agent)
+        if agent >= self.n_recorded:
+            raise ValueError(
+                f"agent must be one of the first {self.n_recorded} of {self.n_agents}, whose steps "
+                f"are recorded, got {agent}"
+            )
 
     def _check_agent(self, agent: int) -> None:
         if not 0 <= agent < self.n_agents:
@@ -311,6 +319,25 @@ def ancestors(run: Run, region: int, agent: int = 0) -> tuple[int, ...]:
     while (region := int(parents[region])) >= 0:
         line.append(region)
     return tuple(line)
+
+
+def region_bounds(run: Run, region: int, agent: int = 0) -> dict[str, tuple[float, float]]:
+    """Return where a region lies: its bounds, in raw units, in each dimension that was cut for it.
+
+    Dimensions are in the order of the first cut along each, from the root on.
+    """
+    family = run.family(agent)
+    parents = family["parent"].to_numpy()
+    dimensions, values = (family[name].to_pylist() for name in ("cut_dimension", "cut_value"))
+    whole = {dimension.name: (dimension.low, dimension.high) for dimension in run.space.situation}
+    bounds: dict[str, tuple[float, float]] = {}
+    line = [region, *ancestors(run, region, agent)]
+    for parent, child in reversed(list(zip(line[1:], line, strict=False))):
+        name, value = dimensions[parent], values[parent]
+        low, high = bounds.get(name, whole[name])
+        is_left = child == np.argmax(parents == parent)  # the left child is the first
+        bounds[name] = (low, value) if is_left else (value, high)
+    return bounds
 
 
 @dataclass(frozen=True)

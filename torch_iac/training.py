@@ -84,7 +84,7 @@ def train(
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
     for _ in _counted(agent.n_decisions, n_decisions):
         sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
-        step = agent.observe(_outcome(env, sensors, terminated | truncated, info))
+        step = agent.observe(outcome_of(env, sensors, terminated | truncated, info))
         if recorder is not None:
             recorder.record(step, info.get("zone"))
         is_over = stop()
@@ -104,7 +104,7 @@ def _begin(
     if checkpoints is None:
         return sensors
     try:
-        _world_state(env)  # refused now rather than when the first checkpoint is due
+        world_state(env)  # refused now rather than when the first checkpoint is due
     except AttributeError:
         raise ValueError(
             f"a world must have get_state and set_state, or worlds with {STATE}, to be saved, "
@@ -117,7 +117,7 @@ def _begin(
             recorder.load_state(None, 0)
         return sensors
     agent.load_state(checkpoint.agent)
-    _set_world_state(env, checkpoint.world)
+    set_world_state(env, checkpoint.world)
     if recorder is not None:
         recorder.load_state(checkpoint.loop["recorder"], checkpoint.n_decisions)
     saved = checkpoint.loop["sensors"]
@@ -147,7 +147,7 @@ class _Saver:
             Checkpoint(
                 self._agent.n_decisions,
                 self._agent.state(),
-                _world_state(self._env),
+                world_state(self._env),
                 {"sensors": sensors, "recorder": recorder},
             )
         )
@@ -155,12 +155,18 @@ class _Saver:
         self._took = self._ended - started
 
 
-def _world_state(env: World) -> Any:
+def world_state(env: World) -> Any:
+    """Return what the future of some worlds depends on.
+
+    Raises:
+        AttributeError: They have neither `get_state` nor `STATE`.
+    """
     whole = getattr(env.unwrapped, "get_state", None)
     return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
 
 
-def _set_world_state(env: World, state: Any) -> None:
+def set_world_state(env: World, state: Any) -> None:
+    """Let worlds go on from what `world_state` returned, exactly."""
     whole = getattr(env.unwrapped, "set_state", None)
     if whole:
         whole(state)
@@ -168,7 +174,7 @@ def _set_world_state(env: World, state: Any) -> None:
         env.set_attr(STATE, state)  # type: ignore[attr-defined]
 
 
-def _outcome(
+def outcome_of(
     env: World, sensors: Any, is_over: NDArray[np.bool_] | Tensor, info: dict[str, Any]
 ) -> Any:
     """Return what the sensors read after the action, in worlds that then began anew too."""

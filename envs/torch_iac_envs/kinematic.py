@@ -7,7 +7,7 @@ there are.
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,10 @@ from torch import Tensor
 
 from torch_iac_envs import room as layout
 from torch_iac_envs.randomness import normal, pack_seeds, uniform
-from torch_iac_envs.room import Room, check_argument
+from torch_iac_envs.room import Picture, Room, check_argument
+
+if TYPE_CHECKING:
+    from torch_iac_envs.physics import Physics
 
 SLICE = 0.025  # s that the robot's motion is advanced by; a decision is a whole number of them
 CLEARANCE = 0.001  # m; rounding does not decide whether a wall is looked at
@@ -44,6 +47,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
 
     Args:
         num_envs: Number of worlds.
+        render_mode: None, or `"rgb_array"` for a picture of each world.
+        width: Width of the pictures (pixels).
+        height: Height of the pictures (pixels).
         beams: Number of infra-red beams to the walls.
         toy_direction: Whether the toy's direction is sensed.
         sensor_noise: Standard deviation of each distance (m); the toy's direction gets twice this
@@ -61,7 +67,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the type that VectorEnv declares
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
+        "render_fps": 2,
         "autoreset_mode": gym.vector.AutoresetMode.DISABLED,
     }
     room: ClassVar[Room] = Room()
@@ -70,6 +77,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         self,
         num_envs: int = 1,
         *,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 360,
         beams: int = 8,
         toy_direction: bool = True,
         sensor_noise: float = 0.01,
@@ -77,11 +87,18 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         device: str | torch.device = "cpu",
         check_actions: bool = True,
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
         check_argument("num_envs", num_envs, 1)
+        check_argument("width", width, 1)
+        check_argument("height", height, 1)
         check_argument("beams", beams, 0)
         check_argument("sensor_noise", sensor_noise, 0)
         check_argument("actuator_noise", actuator_noise, 0)
         self.num_envs = num_envs
+        self.render_mode = render_mode
+        self._picture_size = (width, height)
+        self._camera: Physics | None = None
         self.device = torch.device(device)
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
@@ -109,6 +126,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
             **type(self).metadata,
             "action_names": layout.ACTION_NAMES,
             "sensor_names": layout.sensor_names(beams, self._toy_direction),
+            "sensor_units": layout.sensor_units(beams, self._toy_direction),
             "zone_names": layout.ZONE_NAMES,
         }
 
@@ -164,6 +182,32 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         nothing = torch.zeros(self.num_envs, device=self.device)
         over = torch.zeros(2, self.num_envs, dtype=torch.bool, device=self.device)
         return self._sense(sensor_uniforms), nothing, over[0], over[1], {"zone": zone}
+
+    def render(self) -> tuple[Picture, ...] | None:
+        """Return a picture of each world, shape `(height, width, 3)`, if the mode is so.
+
+        Robots and toys are put into the room of `ToyRoom` to be seen.
+        """
+        if self.render_mode is None:
+            return None
+        self._check_started("render")
+        from torch_iac_envs.physics import Physics, resting_state  # an engine, needed here only
+
+        if self._camera is None:
+            self._camera = Physics(self.room, 0, 1, picture_size=self._picture_size)
+        pictures = []
+        for (x, y), heading, toy in zip(
+            self._position.T.tolist(), self._heading.tolist(), self._toy.T.tolist(), strict=True
+        ):
+            self._camera.seat(resting_state(self.room, (x, y), heading, tuple(toy)))
+            pictures.append(self._camera.picture())
+        return tuple(pictures)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Give the camera back."""
+        del kwargs
+        if self._camera is not None:
+            self._camera.close()
 
     def get_state(self) -> State:
         """Return all that the future depends on, as a dict of tensors.

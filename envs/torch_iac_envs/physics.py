@@ -9,7 +9,7 @@ import pybullet as p
 from numpy.typing import NDArray
 
 from torch_iac_envs.bodies import SLICE, build, motor_torque
-from torch_iac_envs.room import TOY_ROLL, Room
+from torch_iac_envs.room import TOY_ROLL, Picture, Room
 
 STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
 
@@ -83,12 +83,20 @@ class Physics:
         n_beams: Number of infra-red beams.
         substeps: Physics steps in a tenth of a second.
         window: Whether to open a window and let time pass as it does outside.
+        picture_size: Width and height of its pictures (pixels).
 
     Raises:
         RuntimeError: The engine gave no client.
     """
 
-    def __init__(self, room: Room, n_beams: int, substeps: int, window: bool = False) -> None:
+    def __init__(
+        self,
+        room: Room,
+        n_beams: int,
+        substeps: int,
+        window: bool = False,
+        picture_size: tuple[int, int] = (480, 360),
+    ) -> None:
         client = p.connect(p.GUI if window else p.DIRECT)
         if client < 0:
             raise RuntimeError(f"pybullet's client must be at least 0, got {client}")
@@ -97,6 +105,7 @@ class Physics:
         self._room = room
         self._substeps = substeps
         self._window = window
+        self._picture_size = picture_size
         self._beams = np.arange(n_beams) * (2 * math.pi / max(n_beams, 1))
         if window:
             self._arrange_window()
@@ -128,16 +137,23 @@ class Physics:
         (x, y, _), (i, j, k, w) = p.getBasePositionAndOrientation(self._robot, **self._client)
         return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
-    def advance(self, command: Command) -> None:
-        """Let one decision happen; at its end the robot stands and the toy all but stands."""
+    def advance(self, command: Command, film: list[Picture] | None = None) -> None:
+        """Let one decision happen; at its end the robot stands and the toy all but stands.
+
+        Args:
+            command: What happens.
+            film: Gets a picture at the end of every tenth of a second; looking changes nothing.
+        """
         self._roll_toy(command.kick_x, command.kick_y)
         self._run_wheels(command.left, command.right)
-        self._run(self._room.drive_seconds)
+        self._run(self._room.drive_seconds, film)
         self._roll_toy(command.kick_x * TOY_ROLL, command.kick_y * TOY_ROLL)
         self._run_wheels(0.0, 0.0)
-        self._run(self._room.brake_seconds)
+        self._run(self._room.brake_seconds, film)
         if command.jump:
             self._jump()
+            if film:
+                film[-1] = self.picture()
 
     def sense(self) -> Reading:
         """Return what the sensors would read without noise, in one batch of rays."""
@@ -157,8 +173,9 @@ class Physics:
             toy_bearing=math.atan2(toy_y - y, toy_x - x) - heading,
         )
 
-    def picture(self, width: int, height: int) -> NDArray[np.uint8]:
+    def picture(self) -> Picture:
         """Return a picture of the room from above at an angle, shape `(height, width, 3)`."""
+        width, height = self._picture_size
         half = self._room.side / 2
         eye, target = ([half * number for number in point] for point in (EYE, TARGET))
         view = p.computeViewMatrix(eye, target, (0, 0, 1))
@@ -205,9 +222,11 @@ class Physics:
             **self._client,
         )
 
-    def _run(self, seconds: float) -> None:
+    def _run(self, seconds: float, film: list[Picture] | None) -> None:
         for _ in range(round(seconds / SLICE)):
             p.stepSimulation(**self._client)
+            if film is not None:
+                film.append(self.picture())
             if self._window:
                 time.sleep(SLICE)
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Picture = NDArray[np.uint8]
+
 ACTION_NAMES = ("left_wheel", "right_wheel", "sound")
 ACTION_LOW = (-1.0, -1.0, 0.0)
 ACTION_HIGH = (1.0, 1.0, 1.0)
@@ -86,6 +88,11 @@ def sensor_names(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
     return (*walls, "toy_distance", *(("toy_cos", "toy_sin") if toy_direction else ()))
 
 
+def sensor_units(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
+    """Return the sensors' units, in the order in which they are read."""
+    return (*("m",) * (n_beams + 1), *(("", "") if toy_direction else ()))
+
+
 def sensor_bounds(
     room: Room, n_beams: int, toy_direction: bool
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -96,7 +103,14 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-MOST = {"beams": 10_000, "sensor_noise": 1000.0, "actuator_noise": 1000.0, "substeps": 1000}
+MOST = {
+    "beams": 10_000,
+    "sensor_noise": 1000.0,
+    "actuator_noise": 1000.0,
+    "substeps": 1000,
+    "width": 4096,
+    "height": 4096,
+}
 """How large arguments of a world may be: far beyond any use, and before an engine gives up."""
 
 

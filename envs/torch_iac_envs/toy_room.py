@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torch_iac_envs import room as layout
+from torch_iac_envs.bodies import SLICE
 from torch_iac_envs.physics import Command, Physics, Vector, resting_state
-from torch_iac_envs.room import Room, check_argument, zone_of
+from torch_iac_envs.room import Picture, Room, check_argument, zone_of
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
 Action = NDArray[np.float32]
 State = dict[str, NDArray[Any]]
 
-PICTURE_SIZE = (480, 360)
+PICTURES_A_SECOND = round(1 / SLICE)
 
 
 class ToyRoom(gym.Env[Observation, Action]):
@@ -29,13 +30,16 @@ class ToyRoom(gym.Env[Observation, Action]):
     into the robot. `info["zone"]` says which (0, 1, 2), for analysis: it is no sensor.
 
     The names of the actions and of the sensors are in `metadata`, under `"action_names"` and
-    `"sensor_names"`. A wall beam leaves from the robot's centre, the first one straight ahead and
-    the others anticlockwise. The toy's distance runs from the robot's centre to the toy's surface.
-    Its direction is read in the robot's frame; while the toy is in the robot there is none, and
-    both its cosine and its sine are 0.
+    `"sensor_names"`, the sensors' units under `"sensor_units"`. A wall beam leaves from the
+    robot's centre, the first one straight ahead and the others anticlockwise. The toy's distance
+    runs from the robot's centre to the toy's surface. Its direction is read in the robot's frame;
+    while the toy is in the robot there is none, and both its cosine and its sine are 0.
 
     Args:
-        render_mode: None, `"rgb_array"` for pictures or `"human"` for a window.
+        render_mode: None, `"rgb_array"` for pictures, `"rgb_array_list"` for every picture of the
+            last decision, one a tenth of a second, or `"human"` for a window.
+        width: Width of the pictures (pixels).
+        height: Height of the pictures (pixels).
         beams: Number of infra-red beams to the walls.
         toy_direction: Whether the toy's direction is sensed.
         sensor_noise: Standard deviation of each distance (m). The toy's direction gets twice this
@@ -56,7 +60,7 @@ class ToyRoom(gym.Env[Observation, Action]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the type that gymnasium.Env declares
-        "render_modes": ["rgb_array", "human"],
+        "render_modes": ["rgb_array", "rgb_array_list", "human"],
         "render_fps": 2,
     }
     room: ClassVar[Room] = Room()
@@ -65,6 +69,8 @@ class ToyRoom(gym.Env[Observation, Action]):
         self,
         *,
         render_mode: str | None = None,
+        width: int = 480,
+        height: int = 360,
         beams: int = 8,
         toy_direction: bool = True,
         sensor_noise: float = 0.01,
@@ -73,6 +79,8 @@ class ToyRoom(gym.Env[Observation, Action]):
         substeps: int = 8,
     ) -> None:
         _check_render_mode(render_mode)
+        check_argument("width", width, 1)
+        check_argument("height", height, 1)
         check_argument("beams", beams, 0)
         check_argument("sensor_noise", sensor_noise, 0)
         check_argument("actuator_noise", actuator_noise, 0)
@@ -86,7 +94,10 @@ class ToyRoom(gym.Env[Observation, Action]):
         self._declare_spaces(beams)
         self._keyframe: Vector | None = None
         self._commands: list[Command] = []
-        self._physics = Physics(self.room, beams, substeps, window=render_mode == "human")
+        self._film: list[Picture] | None = [] if render_mode == "rgb_array_list" else None
+        self._physics = Physics(
+            self.room, beams, substeps, render_mode == "human", picture_size=(width, height)
+        )
 
     def _declare_spaces(self, beams: int) -> None:
         low, high = layout.sensor_bounds(self.room, beams, self._toy_direction)
@@ -100,8 +111,11 @@ class ToyRoom(gym.Env[Observation, Action]):
             **type(self).metadata,
             "action_names": layout.ACTION_NAMES,
             "sensor_names": layout.sensor_names(beams, self._toy_direction),
+            "sensor_units": layout.sensor_units(beams, self._toy_direction),
             "zone_names": layout.ZONE_NAMES,
         }
+        if self.render_mode == "rgb_array_list":
+            self.metadata["render_fps"] = PICTURES_A_SECOND
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -117,6 +131,7 @@ class ToyRoom(gym.Env[Observation, Action]):
         toy = self.np_random.uniform(-self.room.toy_reach, self.room.toy_reach, 2)
         heading = self.np_random.uniform(-np.pi, np.pi)
         self._seat_keyframe(resting_state(self.room, tuple(robot), heading, tuple(toy)))
+        self._clear_film()
         return self._sense(), {}
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -135,15 +150,20 @@ class ToyRoom(gym.Env[Observation, Action]):
         self._check_started("step")
         action = self._checked(action)
         zone = zone_of(action[2])
-        self._decide(self._command(action, zone))
+        self._clear_film()
+        self._decide(self._command(action, zone), self._film)
         return self._sense(), 0.0, False, False, {"zone": zone}
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, shape `(360, 480, 3)`, if the mode is `"rgb_array"`."""
-        if self.render_mode != "rgb_array":
+    def render(self) -> Picture | list[Picture] | None:  # type: ignore[override]
+        """Return a picture, shape `(height, width, 3)`, if the mode is `"rgb_array"`.
+
+        If it is `"rgb_array_list"`, return those of the last decision, the last of them at its end;
+        none if the world was reset since.
+        """
+        if self.render_mode not in ("rgb_array", "rgb_array_list"):
             return None
         self._check_started("render")
-        return self._physics.picture(*PICTURE_SIZE)
+        return self._physics.picture() if self._film is None else list(self._film)
 
     def close(self) -> None:
         """Give the physics back; closing twice does no harm."""
@@ -186,6 +206,7 @@ class ToyRoom(gym.Env[Observation, Action]):
                 f"a state must hold fewer commands than keyframe_every = {self._keyframe_every}, "
                 f"got {len(commands)}"
             )
+        self._clear_film()
         self._seat_keyframe(np.array(state["keyframe"]))
         for command in commands:
             self._decide(command)
@@ -225,8 +246,11 @@ class ToyRoom(gym.Env[Observation, Action]):
         kick = speed * np.array([np.cos(direction), np.sin(direction)])
         return Command(float(left), float(right), float(kick[0]), float(kick[1]))
 
-    def _decide(self, command: Command) -> None:
-        self._physics.advance(command)
+    def _clear_film(self) -> None:
+        self._film = None if self._film is None else []
+
+    def _decide(self, command: Command, film: list[Picture] | None = None) -> None:
+        self._physics.advance(command, film)
         self._commands.append(command)
         if len(self._commands) == self._keyframe_every:
             self._seat_keyframe(self._physics.read())

@@ -58,7 +58,7 @@ def test_it_says_of_itself_what_the_room_of_pybullet_says() -> None:
     kinematic, physical = (
         gym.make_vec(name, 2, beams=4) for name in (ID, "torch_iac_envs/ToyRoom-v0")
     )
-    for key in ("action_names", "sensor_names", "zone_names"):
+    for key in ("action_names", "sensor_names", "sensor_units", "zone_names"):
         assert kinematic.metadata[key] == physical.metadata[key]
     assert kinematic.single_observation_space == physical.single_observation_space
     assert kinematic.single_action_space == physical.single_action_space
@@ -111,6 +111,28 @@ def test_there_is_a_world_at_least() -> None:
 def test_there_are_as_many_seeds_as_worlds() -> None:
     with pytest.raises(ValueError, match=r"one for each of 3 worlds, got \[1, 2\]"):
         ToyRoomKinematic(3).reset(seed=[1, 2])
+
+
+def test_a_picture_shows_each_robot_and_its_toy_where_they_are() -> None:
+    env = ToyRoomKinematic(2, render_mode="rgb_array", width=80, height=60)
+    env.reset(seed=0)
+    state = env.get_state()
+    state["robot"][:, :2] = torch.tensor([[-0.4, 0.0], [0.4, 0.0]])
+    state["toy"] = -state["robot"][:, :2]
+    env.set_state(state)
+    pictures = env.render()
+    assert pictures is not None
+    assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 2
+    for picture, robot_is_left in zip(pictures, (True, False), strict=True):
+        red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
+        robot, toy = (np.nonzero(of)[1].mean() for of in (blue > red + green, red > green + blue))
+        assert (robot < toy) == robot_is_left
+    env.close()
+
+
+def test_an_unknown_render_mode_is_refused() -> None:
+    with pytest.raises(ValueError, match="render_mode must be None or 'rgb_array', got 'human'"):
+        ToyRoomKinematic(render_mode="human")
 
 
 # Seeds and states, to the last bit.

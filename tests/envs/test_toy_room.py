@@ -4,6 +4,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def test_an_action_of_the_wrong_shape_is_refused() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("argument", ["keyframe_every", "substeps"])
+@pytest.mark.parametrize("argument", ["keyframe_every", "substeps", "width", "height"])
 def test_counts_are_at_least_one(argument: str) -> None:
     with pytest.raises(ValueError, match=f"{argument} must be at least 1 and finite, got 0"):
         ToyRoom(**{argument: 0})  # type: ignore[arg-type]
@@ -85,13 +86,40 @@ def test_a_picture_shows_robot_and_toy() -> None:
     env = ToyRoom(render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
-    assert picture is not None
+    assert isinstance(picture, np.ndarray)
     assert picture.shape == (360, 480, 3)
     red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
     assert (red > green + blue).sum() > 30
     assert (blue > red + green).sum() > 100
     env.close()
     env.close()
+
+
+def test_a_film_shows_each_tenth_of_a_second_of_the_last_decision() -> None:
+    env = ToyRoom(render_mode="rgb_array_list", width=80, height=60)
+    assert env.metadata["render_fps"] == 10
+    env.reset(seed=0)
+    for sound in (F1, F3):
+        env.step(np.array([1, -1, sound], np.float32))
+        film = env.render() or []
+        assert [picture.shape for picture in film] == [(60, 80, 3)] * 5
+        assert all((a != b).any() for a, b in pairwise(film))
+    red = [int((picture[..., 0] > 150).sum() - (picture[..., 1] > 150).sum()) for picture in film]
+    assert red[-1] < min(red[:-1])  # the toy has jumped into the robot
+    env.set_state(env.get_state())
+    assert env.render() == []
+    env.close()
+
+
+def test_to_be_filmed_changes_nothing() -> None:
+    filmed, alone = ToyRoom(render_mode="rgb_array_list", width=8, height=6), ToyRoom()
+    filmed.reset(seed=0)
+    alone.reset(seed=0)
+    for action in _actions(30):
+        np.testing.assert_array_equal(filmed.step(action)[0], alone.step(action)[0])
+    assert filmed.get_state()["present"].tobytes() == alone.get_state()["present"].tobytes()
+    filmed.close()
+    alone.close()
 
 
 def test_an_unknown_render_mode_is_refused() -> None:
