@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +38,7 @@ from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
 from torch_iac.settings import Train, parse_train, settings_of
 from torch_iac.training import World, train
 from torch_iac.workers import carry_out, on_processes, on_ray
-from torch_iac.worlds import WORLD_BYTES
+from torch_iac.worlds import OTHER_WORLD_BYTES, WORLD_BYTES
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
@@ -50,7 +51,8 @@ log = logging.getLogger(__name__)
 
 def begin(settings: Train, words: Sequence[str]) -> None:
     """Carry `torch-iac train` out; `words` are what the user typed."""
-    out = settings.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{settings.world}"
+    world = re.sub(r"[^\w.-]", "-", settings.world)
+    out = settings.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{world}"
     live(settings, out, words)
 
 
@@ -58,11 +60,11 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
     """Let robots develop in a new run folder, or go on in the one that they have."""
     if settings.agents < THREADED_AGENTS:
         torch.set_num_threads(1)
-    space, config, n_recorded = settings.space(), settings.config(), settings.n_recorded()
-    device, n_agents = settings.torch_device(), settings.agents
+    box, config, n_recorded = settings.box(), settings.config(), settings.n_recorded()
+    space, device, n_agents = settings.space(box), settings.torch_device(), settings.agents
     need = (space, config, n_agents, settings.steps, n_recorded)
-    check_memory(*need, device, WORLD_BYTES[settings.world])
-    env = settings.make_world(n_agents)
+    check_memory(*need, device, WORLD_BYTES.get(settings.world, OTHER_WORLD_BYTES))
+    env = settings.make_world(n_agents, box)
     try:
         agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
         recorder = Recorder(

@@ -84,7 +84,7 @@ def train(
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
     for _ in _counted(agent.n_decisions, n_decisions):
         sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
-        step = agent.observe(_outcome(env, sensors, terminated | truncated, info))
+        step = agent.observe(outcome_of(env, sensors, terminated | truncated, info))
         if recorder is not None:
             recorder.record(step, info.get("zone"))
         is_over = stop()
@@ -156,19 +156,23 @@ class _Saver:
 
 
 def _world_state(env: World) -> Any:
-    whole = getattr(env.unwrapped, "get_state", None)
+    whole = getattr(_saved_as_one(env), "get_state", None)
     return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
 
 
+def _saved_as_one(env: World) -> World:
+    return env if hasattr(env, "get_state") else env.unwrapped
+
+
 def _set_world_state(env: World, state: Any) -> None:
-    whole = getattr(env.unwrapped, "set_state", None)
+    whole = getattr(_saved_as_one(env), "set_state", None)
     if whole:
         whole(state)
     else:
         env.set_attr(STATE, state)  # type: ignore[attr-defined]
 
 
-def _outcome(
+def outcome_of(
     env: World, sensors: Any, is_over: NDArray[np.bool_] | Tensor, info: dict[str, Any]
 ) -> Any:
     """Return what the sensors read after the action, in worlds that then began anew too."""
