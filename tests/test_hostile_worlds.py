@@ -261,7 +261,8 @@ BOXES = {
     ),
     "huge": (
         spaces.Box(-1e300, 1e300, (1,), np.float64),
-        "the bounds of sensor_0 must be numbers that float32 holds well apart, got [-1e+300, 1e+300]",
+        "the bounds of sensor_0 must be numbers that float32 holds well apart, "
+        "got [-1e+300, 1e+300]",
     ),
     "narrow": (
         spaces.Box(1e9, 1e9 + 1, (1,), np.float64),

@@ -1,6 +1,7 @@
 """Bounds of sensors that a world leaves open: given by the user, or found by random decisions."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -24,6 +25,26 @@ SEED = 0
 Floats = NDArray[np.floating[Any]]
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds for all sensors of a world, not all of them its own.
+
+    Attributes:
+        box: What sensors are clipped to.
+        given: The names of the sensors whose bounds were given.
+        found: The names of those for which one was found.
+    """
+
+    box: Box
+    given: tuple[str, ...]
+    found: tuple[str, ...]
+
+    def clips(self, world: gym.Env[Any, Any]) -> gym.Wrapper[Any, Any, Any, Any]:
+        """Return a world that reads its sensors within the bounds, the bound itself beyond."""
+        low, high = self.box.low, self.box.high
+        return TransformObservation(world, lambda sensors: np.clip(sensors, low, high), self.box)
+
+
 def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the bounds of sensors, each written as name=low,high.
 
@@ -42,12 +63,12 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
-def bounded_box(
+def bounds_of(
     world: World, given: Mapping[str, tuple[float, float]], n_decisions: int
-) -> Box | None:
-    """Return the sensors of a world with bounds for each; None if the world has them all.
+) -> Bounds | None:
+    """Return bounds for all sensors of a world; None if its own will do.
 
-    Bounds are those given; else the world's own; else those found by random decisions.
+    They are those given; else the world's own; else those found by random decisions.
 
     Args:
         world: A single world; random decisions are taken in it if they are needed.
@@ -65,14 +86,14 @@ def bounded_box(
         if name not in names:
             raise ValueError(f"sensor bounds must be of {', '.join(names)}, got {name}")
         low[names.index(name)], high[names.index(name)] = of_name
-    is_open = (low < -MOST_BOUND).any() or (high > MOST_BOUND).any()
-    if not (given or is_open):
-        return None
-    if is_open:
+    has_low, has_high = low >= -MOST_BOUND, high <= MOST_BOUND
+    found = [name for name, *has in zip(names, has_low, has_high, strict=True) if not all(has)]
+    if found:
         found_low, found_high = found_bounds(world, n_decisions)
-        low = np.where(low < -MOST_BOUND, found_low, low)
-        high = np.where(high > MOST_BOUND, found_high, high)
-    return Box(low, high, dtype=np.float64)
+        low, high = np.where(has_low, low, found_low), np.where(has_high, high, found_high)
+    if not (given or found):
+        return None
+    return Bounds(Box(low, high, dtype=np.float64), tuple(given), tuple(found))
 
 
 def found_bounds(world: World, n_decisions: int) -> tuple[Floats, Floats]:
@@ -91,10 +112,3 @@ def found_bounds(world: World, n_decisions: int) -> tuple[Floats, Floats]:
     size = np.maximum(1.0, np.maximum(abs(low), abs(high)))
     margin = np.where(high - low < STILL * size, size, MARGIN * (high - low))
     return low - margin, high + margin
-
-
-def clipping(box: Box) -> Callable[[gym.Env[Any, Any]], gym.Wrapper[Any, Any, Any, Any]]:
-    """Return what makes a world read its sensors within bounds, the bound itself beyond."""
-    return lambda world: TransformObservation(
-        world, lambda sensors: np.clip(sensors, box.low, box.high), box
-    )

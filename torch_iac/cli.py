@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import gymnasium as gym
+import numpy as np
 import torch
 import tyro
 
@@ -43,6 +44,10 @@ from torch_iac.worlds import OTHER_WORLD_BYTES, WORLD_BYTES
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
 
+OFTEN_CLIPPED, N_CLIPPED_SHOWN = 0.01, 3
+"""The report speaks of sensors that are clipped in such a share of the decisions, and names a few.
+"""
+
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals that stop a run after the present decision."""
 
@@ -60,18 +65,21 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
     """Let robots develop in a new run folder, or go on in the one that they have."""
     if settings.agents < THREADED_AGENTS:
         torch.set_num_threads(1)
-    box, config, n_recorded = settings.box(), settings.config(), settings.n_recorded()
-    space, device, n_agents = settings.space(box), settings.torch_device(), settings.agents
+    bounds, config, n_recorded = settings.bounds(), settings.config(), settings.n_recorded()
+    space, device, n_agents = settings.space(bounds), settings.torch_device(), settings.agents
     need = (space, config, n_agents, settings.steps, n_recorded)
     check_memory(*need, device, WORLD_BYTES.get(settings.world, OTHER_WORLD_BYTES))
-    env = settings.make_world(n_agents, box)
+    if bounds is not None and bounds.found:
+        n_found, n_random = len(bounds.found), f"{settings.bounds_from:,}"
+        log.info("Bounds of %d sensors were found in %s random decisions", n_found, n_random)
+    env = settings.make_world(n_agents, bounds)
     try:
         agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
         recorder = Recorder(
             out,
             agent,
             env.metadata.get("zone_names"),
-            settings.description(words),
+            settings.description(words, bounds),
             log_every=settings.log_every,
             n_recorded=n_recorded,
             resume=resume,
@@ -86,8 +94,7 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
 def _develop(settings: Train, agent: IAC, env: World, recorder: Recorder) -> None:
     """Train; whatever ends it early comes with how to go on."""
     out = recorder.folder
-    world = {"name": settings.world, "options": settings.parsed_options()}
-    saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+    saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=settings.world_identity()))
     steps, every = settings.steps, settings.checkpoint_every
     try:
         with recorder, _stopping() as stop:
@@ -151,8 +158,9 @@ class Compare:
     block: int | None = None
     """How many robots of a variant are one run, as a population (for the kinematic world); by
     default as before, at first 1."""
-    processes: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """How many runs go on at once on this machine; by default one for each core."""
+    processes: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    """How many runs go on at once on this machine; by default one for each core that this
+    process may use."""
     ray: str | None = None
     """The address of a Ray cluster that shall carry the runs out instead, or auto."""
     gpus: float = 0.0
@@ -248,7 +256,7 @@ def go_on(words: Sequence[str], folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Figures:
-    """Draw figures 2 and 3 of the paper for a run, into its folder."""
+    """Draw a run into its folder: the paper's figures 2 and 3, and errors of shadows and of MP."""
 
     run_folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
@@ -387,7 +395,7 @@ def _report(run: Run) -> str:
     ]
     for name, cuts in summary["first_cuts"].items():
         lines.append(
-            f"First cut: {name} at {cuts['median_value']:.2f}, "
+            f"First cut: {name} at {cuts['median_value']:.3g}, "
             f"at decision {cuts['median_step']:.0f}{_share(cuts, run)}."
         )
     for zone, focus in summary["focus"].items():
@@ -405,8 +413,26 @@ def _report(run: Run) -> str:
             f"Every decision is recorded of the first {run.n_recorded} robots, "
             f"windows of {WINDOW} decisions of all {run.n_agents:,}."
         )
+    clipped = _clipped(run)
+    if clipped:
+        worst = sorted(clipped, key=clipped.__getitem__, reverse=True)[:N_CLIPPED_SHOWN]
+        shares = ", ".join(f"{name} {clipped[name]:.0%}" for name in worst)
+        more = f" and {len(clipped) - len(worst)} more" if len(clipped) > len(worst) else ""
+        lines.append(f"At their bounds or beyond: {shares}{more}; see --sensor-bounds.")
     lines.append(f"Look at {run.folder / 'figures'}, or: tensorboard --logdir {run.folder.parent}")
     return "\n".join(lines)
+
+
+def _clipped(run: Run) -> dict[str, float]:
+    """Return the sensors that were often clipped, each with its share of the decisions."""
+    names = [name for of in run.config["world"].get("bounds", {}).values() for name in of]
+    clipped = [sensor for sensor in run.space.sensors if sensor.name in names]
+    shares = {}
+    for sensor in clipped:
+        read = run.column(f"sensor/{sensor.name}")
+        at_bound = (read <= np.float32(sensor.low)) | (read >= np.float32(sensor.high))
+        shares[sensor.name] = float(at_bound.mean())
+    return {name: share for name, share in shares.items() if share >= OFTEN_CLIPPED}
 
 
 def _share(count: Mapping[str, Any], run: Run) -> str:

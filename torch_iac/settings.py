@@ -13,10 +13,9 @@ from typing import Annotated, Any, Literal
 
 import torch
 import tyro
-from gymnasium.spaces import Box
 
 from torch_iac.agent import available_device
-from torch_iac.bounds import bounded_box, parse_bounds
+from torch_iac.bounds import Bounds, bounds_of, parse_bounds
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.counts import check_count
@@ -135,6 +134,8 @@ class Train:
     elsewhere."""
     world_options: tuple[str, ...] = ()
     """Arguments of the world, such as beams=4 sensor_noise=0."""
+    hold: int = 1
+    """For how many steps of the world each action is held."""
     sensor_bounds: tuple[str, ...] = ()
     """Bounds of sensors, such as sensor_4=-10,10; what reads beyond is taken for the bound."""
     bounds_from: int = 1000
@@ -155,7 +156,8 @@ class Train:
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
             check_count(name, getattr(self, name))
-        check_count("bounds_from", self.bounds_from)
+        for name in ("hold", "bounds_from"):
+            check_count(name, getattr(self, name))
         check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
@@ -163,26 +165,32 @@ class Train:
     def check(self, elsewhere: bool = False) -> None:
         """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
         settings = replace(self, device="cpu") if elsewhere else self
-        settings.space(settings.box())
+        settings.space(settings.bounds())
 
-    def box(self) -> Box | None:
-        """Return the bounds that the sensors are clipped to; None if the world has its own.
+    def bounds(self) -> Bounds | None:
+        """Return what the sensors are clipped to; None if the world has bounds of its own.
 
         The world is begun once: one that cannot be is known before there is a run.
         """
         with closing(self.make_world(1)) as world:
             world.reset(seed=self.seed)
-            return bounded_box(world, parse_bounds(self.sensor_bounds), self.bounds_from)
+            return bounds_of(world, parse_bounds(self.sensor_bounds), self.bounds_from)
 
-    def space(self, box: Box | None) -> SensorimotorSpace:
+    def space(self, bounds: Bounds | None) -> SensorimotorSpace:
         """Return what the robots do, sense and predict, from a single world with these bounds."""
         outcomes = self.outcomes or OUTCOMES.get(self.world, ("all",))
-        with closing(self.make_world(1, box)) as world:
+        with closing(self.make_world(1, bounds)) as world:
             return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
 
-    def make_world(self, n_worlds: int, box: Box | None = None) -> World:
+    def make_world(self, n_worlds: int, bounds: Bounds | None = None) -> World:
         """Return as many worlds as asked for, with these bounds for sensors."""
-        return make_world(self.world, n_worlds, self.parsed_options(), self.torch_device(), box)
+        options, device = self.parsed_options(), self.torch_device()
+        return make_world(self.world, n_worlds, options, device, self.hold, bounds)
+
+    def world_identity(self) -> dict[str, Any]:
+        """Return what makes the world what it is."""
+        held = {"hold": self.hold} if self.hold > 1 else {}
+        return {"name": self.world, "options": self.parsed_options(), **held}
 
     def config(self) -> IACConfig:
         """Return the engine's numbers, with the shadows."""
@@ -213,13 +221,15 @@ class Train:
         )
         return self.recorded_agents
 
-    def description(self, words: Sequence[str]) -> dict[str, Any]:
+    def description(self, words: Sequence[str], bounds: Bounds | None) -> dict[str, Any]:
         """Return what `config.json` says of the command; `words` are what the user typed."""
-        world = WORLDS.get(self.world, self.world)
+        world = {**self.world_identity(), "id": WORLDS.get(self.world, self.world)}
+        if bounds is not None:
+            world["bounds"] = {"given": bounds.given, "found": bounds.found}
         return {
             "command": list(words),
             "versions": {"python": platform.python_version(), **_versions()},
-            "world": {"name": self.world, "id": world, "options": self.parsed_options()},
+            "world": world,
             "steps": self.steps,
             "device": self.device,
             "preset": self.preset,

@@ -1,7 +1,8 @@
 """The worlds that the command makes: which there are, and how their options are written."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from inspect import Parameter, signature
 from json import loads
@@ -11,11 +12,11 @@ from warnings import catch_warnings
 import gymnasium as gym
 import torch
 from gymnasium.envs.registration import EnvSpec, load_env_creator
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RepeatAction
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.bounds import clipping
+from torch_iac.bounds import Bounds
 from torch_iac.replaying import Replayed
 from torch_iac.training import STATE, World
 
@@ -49,7 +50,8 @@ def make_world(
     n_worlds: int,
     options: Mapping[str, Any],
     device: torch.device,
-    box: Box | None = None,
+    hold: int = 1,
+    bounds: Bounds | None = None,
 ) -> World:
     """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
 
@@ -59,21 +61,30 @@ def make_world(
         n_worlds: How many.
         options: Arguments of each.
         device: Where worlds that are tensors are.
-        box: Bounds that sensors are clipped to; None leaves them as they are.
+        hold: For how many steps of the world an action is held.
+        bounds: What sensors are clipped to; None leaves them as they are.
 
     Raises:
         ValueError: There is no such world, it has no such option, refuses its value, or cannot be
-            given bounds.
+            given bounds or hold actions.
     """
     spec = _spec(name)
     with _refusals(name):
         if spec.entry_point is None:
-            return _batched(name, spec, n_worlds, options, device, box)
+            if hold > 1 or bounds is not None:
+                raise ValueError(
+                    f"hold and sensor_bounds must be left to worlds that are single, got {name}"
+                )
+            return _batched(name, spec, n_worlds, options, device)
         parameters = dict(_parameters(spec.entry_point))
         if spec.max_episode_steps is not None:
             parameters |= EPISODES
         _check_options(name, options, parameters)
-        wrappers = [] if box is None else [clipping(box)]
+        wrappers: list[Callable[..., gym.Wrapper[Any, Any, Any, Any]]] = []
+        if hold > 1:
+            wrappers.append(partial(RepeatAction, num_repeats=hold))
+        if bounds is not None:
+            wrappers.append(bounds.clips)
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return _saved(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
 
@@ -84,13 +95,10 @@ def _batched(
     n_worlds: int,
     options: Mapping[str, Any],
     device: torch.device,
-    box: Box | None,
 ) -> World:
     """Return worlds that are one object, such as one of tensors."""
     parameters = _parameters(spec.vector_entry_point)
     _check_options(name, options, parameters)
-    if box is not None:
-        raise ValueError(f"{name} must have its own sensor bounds, as its worlds are one object")
     # Actions are in their bounds; the check would make a GPU wait at every decision.
     known = {"device": device, "check_actions": False}
     own = {option: value for option, value in known.items() if option in parameters}
