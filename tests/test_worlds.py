@@ -212,6 +212,10 @@ KINDS = "toyroom, kinematic or a world of Gymnasium such as Pendulum-v1"
             "options of Pendulum-v1 must be among render_mode, g, max_episode_steps, got smell",
         ),
         (
+            "--world Pendulum-v1 --world-options g=heavy",
+            "g must be a number, got heavy",
+        ),
+        (
             "--world Pendulum-v1 --world-options max_episode_steps=ten",
             "max_episode_steps must be a whole number, got ten",
         ),
@@ -231,8 +235,11 @@ KINDS = "toyroom, kinematic or a world of Gymnasium such as Pendulum-v1"
             "--world kinematic --hold 2",
             "hold and sensor_bounds must be left to worlds that are single, got kinematic",
         ),
-        ("--hold 0", "hold must be at least 1, got 0 (see torch-iac train --help)"),
-        ("--bounds-from 0", "bounds_from must be at least 1, got 0 (see torch-iac train --help)"),
+        ("--hold 0", "hold must lie in [1, 1,000], got 0 (see torch-iac train --help)"),
+        (
+            "--bounds-from 0",
+            "bounds_from must lie in [1, 1,000,000], got 0 (see torch-iac train --help)",
+        ),
     ],
 )
 def test_what_cannot_be_is_answered_with_one_sentence(

@@ -72,6 +72,9 @@ DriveName = Literal[
 SEEDS = 2**32
 """Seeds lie below; every random number generator takes them."""
 
+MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
+"""Beyond use: a decision, or what comes before the first, would take minutes."""
+
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "mujoco")
 """What config.json tells the versions of."""
 
@@ -156,8 +159,9 @@ class Train:
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
             check_count(name, getattr(self, name))
-        for name in ("hold", "bounds_from"):
-            check_count(name, getattr(self, name))
+        for name, most in (("hold", MOST_HOLD), ("bounds_from", MOST_BOUNDS_FROM)):
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must lie in [1, {most:,}], got {getattr(self, name)}")
         check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")

@@ -119,7 +119,7 @@ def _spec(name: str) -> EnvSpec:
         if module:
             import_module(module)
         return gym.spec(world)
-    except (ImportError, TypeError, gym.error.Error) as error:
+    except (ImportError, TypeError, ValueError, gym.error.Error) as error:
         raise ValueError(
             f"world must be {', '.join(WORLDS)} or a world of Gymnasium such as Pendulum-v1, "
             f"got {name} ({error})"
@@ -135,7 +135,7 @@ def _check_options(
     for option, value in options.items():
         if option not in allowed and Parameter.VAR_KEYWORD not in kinds:
             raise ValueError(f"options of {name} must be among {', '.join(allowed)}, got {option}")
-        kind = parameters[option].annotation if option in parameters else Parameter.empty
+        kind = _kind(parameters[option]) if option in parameters else None
         if kind in KINDS and not _is_a(kind, value):
             raise ValueError(f"{option} must be {KINDS[kind]}, got {value!s:.80}")
 
@@ -157,6 +157,12 @@ def _saved(env: World) -> World:
     worlds = getattr(env, "envs", ())
     know_how = all(hasattr(type(world.unwrapped), STATE) for world in worlds)
     return env if know_how else Replayed(env)
+
+
+def _kind(parameter: Parameter) -> Any:
+    """Return what an argument shall be: as it says, or else of the kind that it is by default."""
+    says_nothing = parameter.annotation is Parameter.empty
+    return type(parameter.default) if says_nothing else parameter.annotation
 
 
 def _is_a(kind: Any, value: object) -> bool:
