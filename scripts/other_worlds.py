@@ -2,9 +2,9 @@
 
     python -m scripts.other_worlds
 
-lets robots live in worlds of Gymnasium, by the command `torch-iac train`, with actions held for one
-step and for ten. It prints how many of the cuts are on an action, where nothing else lets a robot
-choose, and when the swimmer is in which posture, and draws the latter. Needs the extra `mujoco`.
+lets robots live in worlds of Gymnasium, by the command `torch-iac train`. It prints, for actions
+held for one step and for ten, how many of the cuts are on an action, for only there can a robot
+choose; then in which posture swimmers spend their time, and draws that. Needs the extra `mujoco`.
 Runs that are in the folder already are not run again.
 """
 
@@ -26,7 +26,7 @@ from torch_iac.runs import Run, load_run
 
 WORLDS = ("Swimmer-v5", "Pendulum-v1", "MountainCarContinuous-v0")
 DRIVES = ("progress", "random")
-HOLDS = (1, 10)
+SWIMMER, HOLDS = WORLDS[0], (1, 10)
 STOP = 1.7
 """Radians: a joint of the swimmer that is bent so far is at its stop, which is at 1.745."""
 POSTURES = ("both joints at a stop", "one joint at a stop", "no joint at a stop")
@@ -38,12 +38,16 @@ N_POINTS = 40
 
 @dataclass(frozen=True)
 class Study:
-    """How many robots live for how long in each world."""
+    """How many robots live for how long; they have the seeds 0, 1, ..."""
 
-    robots: int = 10
-    """How many, with the seeds 0, 1, ..."""
-    steps: int = 10_000
+    robots: int = 5
+    """How many in each world."""
+    steps: int = 3_000
     """How many decisions each takes."""
+    swimmers: int = 10
+    """How many swimmers are watched for longer."""
+    swimmer_steps: int = 10_000
+    """How many decisions each of them takes."""
     out: Path = Path("runs/other_worlds")
     """Where the run folders go."""
     picture: Path = Path("docs/images/swimmer.png")
@@ -52,34 +56,36 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the tables and draw the picture."""
-    runs = {
-        (world, hold, drive): run_of(study, world, hold, drive)
-        for world in WORLDS
-        for hold in HOLDS
-        for drive in DRIVES
-    }
-    print("| world | held for | cuts on an action | does the drive change anything? |")
-    print("|---|---|---|---|")
-    for world in WORLDS:
-        for hold in HOLDS:
-            curious, random = (runs[world, hold, drive] for drive in DRIVES)
-            n_changed = np.any(actions(curious) != actions(random), axis=(0, 2)).sum()
-            print(
-                f"| {world} | {hold} | {share_on_actions(curious):.0%} "
-                f"| for {n_changed} of {curious.n_agents} robots |"
-            )
-    swimmers = [runs["Swimmer-v5", HOLDS[-1], drive] for drive in DRIVES]
+    tell_choices(study)
+    numbers = (study.swimmers, study.swimmer_steps)
+    swimmers = [run_of(study.out, SWIMMER, HOLDS[-1], drive, *numbers) for drive in DRIVES]
     for name, run in zip(DRIVES, swimmers, strict=True):
         tell_postures(name, run)
     draw(swimmers, study.picture)
 
 
-def run_of(study: Study, world: str, hold: int, drive: str) -> Run:
+def tell_choices(study: Study) -> None:
+    """Print where the trees let robots choose, and whether they then live otherwise."""
+    print("| world | held for | cuts on an action | does the drive change anything? |")
+    print("|---|---|---|---|")
+    for world in WORLDS:
+        for hold in HOLDS:
+            curious, random = (
+                run_of(study.out, world, hold, drive, study.robots, study.steps) for drive in DRIVES
+            )
+            n_changed = np.any(actions(curious) != actions(random), axis=(0, 2)).sum()
+            print(
+                f"| {world} | {hold} | {share_on_actions(curious):.0%} "
+                f"| for {n_changed} of {curious.n_agents} robots |"
+            )
+
+
+def run_of(out: Path, world: str, hold: int, drive: str, n_robots: int, n_steps: int) -> Run:
     """Return a run of all robots in one world; it is run if it is not there yet."""
-    folder = study.out / f"{world}-hold-{hold}-{drive}"
+    folder = out / f"{world}-hold-{hold}-{drive}-{n_robots}-robots-{n_steps}-steps"
     if not (folder / "summary.json").exists():
         words = f"train --world {world} --hold {hold} --drive {drive} --no-mp"
-        numbers = f"--agents {study.robots} --steps {study.steps}"
+        numbers = f"--agents {n_robots} --steps {n_steps}"
         torch_iac([*words.split(), *numbers.split(), "--out", str(folder)])
     return load_run(folder)
 
@@ -120,10 +126,9 @@ def tell_postures(name: str, run: Run) -> None:
             for robots in of_parts[:, :, place]
         ]
         print(f"| {posture} | {' | '.join(cells)} | {errors[where == place].mean():.4f} |")
-    fine = shares(run, N_POINTS)
-    peak_both, peak_one = (fine[:, :, place].argmax(axis=0) for place in (0, 1))
-    n_first = int((peak_both < peak_one).sum())
-    print(f"\nMost with both at a stop before most with one: {n_first} of {run.n_agents} robots.")
+    first, second = shares(run, 2)[:, :, 0]
+    n_folded_first = int((first > second).sum())
+    print(f"\nBoth at a stop more in the first half: {n_folded_first} of {run.n_agents} robots.")
 
 
 def draw(runs: list[Run], picture: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_world_of_ones_own_is_found_in_its_module(
     words = ["--world", custom, "--world-options", "loudness=10", *SPLITTING]
     with caplog.at_level(logging.INFO):
         run = train(tmp_path / "a", *words, "--bounds-from", "200", steps=60)
-    assert caplog.messages == ["Bounds of 1 sensors were found in 200 random decisions"]
+    assert caplog.messages == ["Bounds for 1 of 1 sensors were found in 200 random decisions"]
     assert run.config["world"]["bounds"] == {"given": [], "found": ["echo"]}
     (echo,) = run.space.sensors
     assert (echo.low, echo.high) == pytest.approx((-12, 12), abs=0.5)

@@ -65,13 +65,13 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
     """Let robots develop in a new run folder, or go on in the one that they have."""
     if settings.agents < THREADED_AGENTS:
         torch.set_num_threads(1)
-    bounds, config, n_recorded = settings.bounds(), settings.config(), settings.n_recorded()
-    space, device, n_agents = settings.space(bounds), settings.torch_device(), settings.agents
+    bounds, config, device = settings.bounds(), settings.config(), settings.torch_device()
+    space, n_agents, n_recorded = settings.space(bounds), settings.agents, settings.n_recorded()
     need = (space, config, n_agents, settings.steps, n_recorded)
     check_memory(*need, device, WORLD_BYTES.get(settings.world, OTHER_WORLD_BYTES))
     if bounds is not None and bounds.found:
-        n_found, n_random = len(bounds.found), f"{settings.bounds_from:,}"
-        log.info("Bounds of %d sensors were found in %s random decisions", n_found, n_random)
+        share = f"{len(bounds.found)} of {len(space.sensors)} sensors"
+        log.info("Bounds for %s were found in %s random decisions", share, settings.bounds_from)
     env = settings.make_world(n_agents, bounds)
     try:
         agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
