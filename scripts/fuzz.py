@@ -32,9 +32,15 @@ from unittest import mock
 import tyro
 
 from torch_iac import cli
+from torch_iac.worlds import WORLDS as NAMED_WORLDS
 
 PARTS = ("preset", "experts", "drive", "choice")
 """Options on which others depend."""
+
+WORLDS = list(NAMED_WORLDS)
+"""The worlds of this project."""
+OTHER_WORLDS = ["Pendulum-v1", "CartPole-v1", "Mars-v0", "mars:Sol-v1", "Pendulum", ":", "a:b:c"]
+"""Worlds of Gymnasium, most of which cannot be lived in or do not exist."""
 
 OPTION = re.compile(
     r"(?<![\w-])--([a-z][\w.-]*)(?:, --no-[\w.-]+)? "
@@ -204,6 +210,7 @@ def _word(rng: random.Random, known: dict[str, str], share: float) -> Iterator[s
         return
     makers: dict[str, Callable[[], str]] = {
         "out": lambda: rng.choice(PLACES),
+        "world": lambda: rng.choice([*WORLDS * 4, *OTHER_WORLDS, *STRANGE, *WRONG]),
         "world-options": lambda: _world_option(rng, rng.choice(WORLDS)),
     }
     make = makers.get(name, lambda: _value(rng, kind, share))
@@ -282,8 +289,6 @@ def _limit(seconds: int) -> Iterator[None]:
 def _line(words: Sequence[str]) -> str:
     return shlex.join(["torch-iac", *words]).encode("utf-8", "backslashreplace").decode()
 
-
-WORLDS = _choices(options(())["world"])
 
 if __name__ == "__main__":
     main()

@@ -17,5 +17,5 @@ def test_the_options_that_are_tried_are_those_of_the_help() -> None:
     known = options(("--experts", "mlp", "--drive", "curriculum"))
     assert known["hidden"] == "[INT [INT ...]]"
     assert known["stages.0.until"] == "INT"
-    assert known["world"] == "{toyroom,kinematic}"
+    assert known["world"] == "STR"
     assert known["mp"] == ""

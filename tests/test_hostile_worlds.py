@@ -112,17 +112,19 @@ def set_first(value: float) -> Bend:
 def test_a_reading_that_cannot_be_is_named_and_what_was_before_is_kept(
     tmp_path: Path, value: float
 ) -> None:
-    message = rf"^sensor 0 must lie in \[0, 1\], got {value:g} from agent 1$".replace("+", r"\+")
+    message = rf"^sensor sensor_0 must lie in \[0, 1\], got {value:g} from agent 1$".replace(
+        "+", r"\+"
+    )
     with pytest.raises(ValueError, match=message):
         live(tmp_path, Bent, lambda: Bent(set_first(value)))
     run = load_run(tmp_path)
     assert run.n_decisions == TROUBLE_AT - 1  # what the last of these led to is the bad reading
-    assert np.isfinite(run.column("sensor/0")).all()
+    assert np.isfinite(run.column("sensor/sensor_0")).all()
     assert not (tmp_path / "summary.json").exists()
 
 
 def test_a_first_reading_that_cannot_be_leaves_a_run_without_decisions(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="sensor 0 must lie in"):
+    with pytest.raises(ValueError, match="sensor sensor_0 must lie in"):
         live(tmp_path, lambda: Bent(set_first(math.nan), after=0))
     assert load_run(tmp_path).seeds == (0,)
     assert not list((tmp_path / "steps").iterdir())
@@ -132,7 +134,7 @@ def test_a_first_reading_that_cannot_be_leaves_a_run_without_decisions(tmp_path:
 def test_a_reading_just_outside_is_lived_with(tmp_path: Path, value: float) -> None:
     agent = live(tmp_path, lambda: Bent(set_first(value)))
     assert agent.n_decisions == 60
-    assert load_run(tmp_path).column("sensor/0")[-1, 0] == np.float32(value)
+    assert load_run(tmp_path).column("sensor/sensor_0")[-1, 0] == np.float32(value)
     held = agent.examples.situations[: agent.examples.n_rows]
     assert held.min() >= 0
     assert held[held.isfinite()].max() <= 1
@@ -183,7 +185,7 @@ def test_sensors_may_be_numbers_of_any_kind(tmp_path: Path, dtype: type) -> None
     run = load_run(tmp_path)
     assert run.n_decisions == 100
     if np.issubdtype(dtype, np.integer):
-        assert (run.column("sensor/1") % 1 == 0).all()
+        assert (run.column("sensor/sensor_1") % 1 == 0).all()
 
 
 # Worlds that fail.
@@ -255,20 +257,21 @@ BOXES = {
     ),
     "point": (
         spaces.Box(0.5, 0.5, (1,), np.float32),
-        "the bounds of 0 must be finite and in order, got [0.5, 0.5]",
+        "the bounds of sensor_0 must be finite and in order, got [0.5, 0.5]",
     ),
     "huge": (
         spaces.Box(-1e300, 1e300, (1,), np.float64),
-        "the bounds of 0 must be numbers that float32 holds well apart, got [-1e+300, 1e+300]",
+        "the bounds of sensor_0 must be numbers that float32 holds well apart, "
+        "got [-1e+300, 1e+300]",
     ),
     "narrow": (
         spaces.Box(1e9, 1e9 + 1, (1,), np.float64),
-        "the bounds of 0 must be numbers that float32 holds well apart, "
+        "the bounds of sensor_0 must be numbers that float32 holds well apart, "
         "got [1000000000.0, 1000000001.0]",
     ),
     "tiny": (
         spaces.Box(0.0, 1e-40, (1,), np.float64),
-        "the bounds of 0 must be numbers that float32 holds well apart, got [0.0, 1e-40]",
+        "the bounds of sensor_0 must be numbers that float32 holds well apart, got [0.0, 1e-40]",
     ),
 }
 
@@ -309,5 +312,5 @@ def test_bounds_of_any_size_that_float32_tells_apart_are_lived_in(
     agent = live(tmp_path, lambda: Bent(action_space=box, observation_space=box))
     assert agent.n_decisions == 60
     run = load_run(tmp_path)
-    assert np.isfinite(run.column("prediction/0")).all()
-    assert len(np.unique(run.column("action/0"))) > 50
+    assert np.isfinite(run.column("prediction/sensor_0")).all()
+    assert len(np.unique(run.column("action/action_0"))) > 50

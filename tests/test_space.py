@@ -29,7 +29,7 @@ def test_a_space_reads_names_and_bounds_from_a_world() -> None:
 
 def test_a_world_without_names_gets_numbers_and_all_sensors_are_outcomes() -> None:
     space = SensorimotorSpace.from_env(Wires(names=False))
-    assert space.situation_names == ("0", "1", "0", "1", "2")
+    assert space.situation_names == ("action_0", "action_1", "sensor_0", "sensor_1", "sensor_2")
     assert space.outcomes == space.sensors
 
 

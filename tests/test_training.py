@@ -77,18 +77,20 @@ def test_worlds_in_other_processes_give_the_same_run(tmp_path: Path) -> None:
 def test_worlds_start_from_the_seeds_of_their_agents(tmp_path: Path) -> None:
     three = live(tmp_path / "three", sync_worlds(3), [5, 6, 5])
     alone = live(tmp_path / "alone", sync_worlds(1), [6])
-    assert three.table(["sensor/0", "error"], agent=1) == alone.table(["sensor/0", "error"])
-    assert three.table(["sensor/0"], agent=0) == three.table(["sensor/0"], agent=2)
-    assert three.table(["sensor/0"], agent=0) != three.table(["sensor/0"], agent=1)
+    assert three.table(["sensor/sensor_0", "error"], agent=1) == alone.table(
+        ["sensor/sensor_0", "error"]
+    )
+    assert three.table(["sensor/sensor_0"], agent=0) == three.table(["sensor/sensor_0"], agent=2)
+    assert three.table(["sensor/sensor_0"], agent=0) != three.table(["sensor/sensor_0"], agent=1)
 
 
 def test_what_is_recorded_is_what_happened(tmp_path: Path) -> None:
     """The zones are those of the actions beside them, and a sensor is what the last step left."""
     run = live(tmp_path, sync_worlds(2), [0, 1])
-    actions, zones = run.column("action/0"), run.column("zone")
+    actions, zones = run.column("action/action_0"), run.column("zone")
     assert (zones == (actions > 0)).all()
-    assert (run.column("outcome/0")[zones == 1] == actions[zones == 1]).all()
-    assert (run.column("sensor/0")[1:] == run.column("outcome/0")[:-1]).all()
+    assert (run.column("outcome/sensor_0")[zones == 1] == actions[zones == 1]).all()
+    assert (run.column("sensor/sensor_0")[1:] == run.column("outcome/sensor_0")[:-1]).all()
 
 
 def test_nobody_need_record() -> None:
@@ -157,8 +159,8 @@ def test_where_an_episode_ends_the_outcome_is_its_end_and_the_next_action_sees_t
     with Recorder(tmp_path, agent) as recorder:
         train(agent, worlds, 12, recorder)
     run = load_run(tmp_path)
-    assert run.column("sensor/0")[:, 1].tolist() == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
-    assert run.column("outcome/0")[:, 1].tolist() == [1, 2, 3, 4, 5, 1, 2, 3, 4, 5, 1, 2]
+    assert run.column("sensor/sensor_0")[:, 1].tolist() == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
+    assert run.column("outcome/sensor_0")[:, 1].tolist() == [1, 2, 3, 4, 5, 1, 2, 3, 4, 5, 1, 2]
 
 
 def test_a_world_that_would_show_its_beginning_as_an_outcome_is_refused() -> None:

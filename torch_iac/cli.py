@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import gymnasium as gym
+import numpy as np
 import torch
 import tyro
 from tqdm import tqdm
@@ -41,13 +43,17 @@ from torch_iac.sheets import ROOM
 from torch_iac.training import World, train
 from torch_iac.video import Film, writer_for
 from torch_iac.workers import carry_out, on_processes, on_ray
-from torch_iac.worlds import WORLD_BYTES, WORLDS
+from torch_iac.worlds import OTHER_WORLD_BYTES, WORLD_BYTES, WORLDS
 
 PICTURE_MODES = ("rgb_array_list", "rgb_array")
 """How worlds draw pictures: of all moments of a decision, or of its end."""
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
+
+OFTEN_CLIPPED, N_CLIPPED_SHOWN = 0.01, 3
+"""The report speaks of sensors that are clipped in such a share of the decisions, and names a few.
+"""
 
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Signals that stop a run after the present decision."""
@@ -57,7 +63,8 @@ log = logging.getLogger(__name__)
 
 def begin(settings: Train, words: Sequence[str]) -> None:
     """Carry `torch-iac train` out; `words` are what the user typed."""
-    out = settings.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{settings.world}"
+    world = re.sub(r"[^\w.-]", "-", settings.world)
+    out = settings.out or Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{world}"
     live(settings, out, words)
 
 
@@ -65,18 +72,21 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
     """Let robots develop in a new run folder, or go on in the one that they have."""
     if settings.agents < THREADED_AGENTS:
         torch.set_num_threads(1)
-    space, config, n_recorded = settings.space(), settings.config(), settings.n_recorded()
-    device, n_agents = settings.torch_device(), settings.agents
+    bounds, config, device = settings.bounds(), settings.config(), settings.torch_device()
+    space, n_agents, n_recorded = settings.space(bounds), settings.agents, settings.n_recorded()
     need = (space, config, n_agents, settings.steps, n_recorded)
-    check_memory(*need, device, WORLD_BYTES[settings.world])
-    env = settings.make_world(n_agents)
+    check_memory(*need, device, WORLD_BYTES.get(settings.world, OTHER_WORLD_BYTES))
+    if bounds is not None and bounds.found:
+        share = f"{len(bounds.found)} of {len(space.sensors)} sensors"
+        log.info("Bounds for %s were found in %s random decisions", share, settings.bounds_from)
+    env = settings.make_world(n_agents, bounds)
     try:
         agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
         recorder = Recorder(
             out,
             agent,
             env.metadata.get("zone_names"),
-            settings.description(words),
+            settings.description(words, bounds),
             log_every=settings.log_every,
             n_recorded=n_recorded,
             resume=resume,
@@ -91,8 +101,7 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
 def _develop(settings: Train, agent: IAC, env: World, recorder: Recorder) -> None:
     """Train; whatever ends it early comes with how to go on."""
     out = recorder.folder
-    world = {"name": settings.world, "options": settings.parsed_options()}
-    saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=world))
+    saved = Checkpoints(out / CHECKPOINTS, identity(agent, world=settings.world_identity()))
     steps, every = settings.steps, settings.checkpoint_every
     try:
         with recorder, _stopping() as stop:
@@ -166,8 +175,9 @@ class Compare:
     block: int | None = None
     """How many robots of a variant are one run, as a population (for the kinematic world); by
     default as before, at first 1."""
-    processes: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """How many runs go on at once on this machine; by default one for each core."""
+    processes: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    """How many runs go on at once on this machine; by default one for each core that this
+    process may use."""
     ray: str | None = None
     """The address of a Ray cluster that shall carry the runs out instead, or auto."""
     gpus: float = 0.0
@@ -263,7 +273,7 @@ def go_on(words: Sequence[str], folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Figures:
-    """Draw figures 2 and 3 of the paper for a run, into its folder."""
+    """Draw a run into its folder: the paper's figures 2 and 3, and errors of shadows and of MP."""
 
     run_folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
@@ -472,7 +482,7 @@ def _report(run: Run) -> str:
     ]
     for name, cuts in summary["first_cuts"].items():
         lines.append(
-            f"First cut: {name} at {cuts['median_value']:.2f}, "
+            f"First cut: {name} at {cuts['median_value']:.3g}, "
             f"at decision {cuts['median_step']:.0f}{_share(cuts, run)}."
         )
     for zone, focus in summary["focus"].items():
@@ -490,8 +500,26 @@ def _report(run: Run) -> str:
             f"Every decision is recorded of the first {run.n_recorded} robots, "
             f"windows of {WINDOW} decisions of all {run.n_agents:,}."
         )
+    clipped = _clipped(run)
+    if clipped:
+        worst = sorted(clipped, key=clipped.__getitem__, reverse=True)[:N_CLIPPED_SHOWN]
+        shares = ", ".join(f"{name} {clipped[name]:.0%}" for name in worst)
+        more = f" and {len(clipped) - len(worst)} more" if len(clipped) > len(worst) else ""
+        lines.append(f"At their bounds or beyond: {shares}{more}; see --sensor-bounds.")
     lines.append(f"Look at {run.folder / 'figures'}, or: tensorboard --logdir {run.folder.parent}")
     return "\n".join(lines)
+
+
+def _clipped(run: Run) -> dict[str, float]:
+    """Return the sensors that were often clipped, each with its share of the decisions."""
+    names = [name for of in run.config["world"].get("bounds", {}).values() for name in of]
+    clipped = [sensor for sensor in run.space.sensors if sensor.name in names]
+    shares = {}
+    for sensor in clipped:
+        read = run.column(f"sensor/{sensor.name}")
+        at_bound = (read <= np.float32(sensor.low)) | (read >= np.float32(sensor.high))
+        shares[sensor.name] = float(at_bound.mean())
+    return {name: share for name, share in shares.items() if share >= OFTEN_CLIPPED}
 
 
 def _share(count: Mapping[str, Any], run: Run) -> str:

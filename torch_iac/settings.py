@@ -5,9 +5,9 @@ import logging
 import platform
 from argparse import ArgumentParser
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
+from contextlib import closing, redirect_stdout
 from dataclasses import dataclass, field, fields, replace
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +15,7 @@ import torch
 import tyro
 
 from torch_iac.agent import available_device
+from torch_iac.bounds import Bounds, bounds_of, parse_bounds
 from torch_iac.choices import Choice, Greedy, Proportional, Softmax
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.counts import check_count
@@ -71,7 +72,10 @@ DriveName = Literal[
 SEEDS = 2**32
 """Seeds lie below; every random number generator takes them."""
 
-PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet")
+MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
+"""Beyond use: a decision, or what comes before the first, would take minutes."""
+
+PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "mujoco")
 """What config.json tells the versions of."""
 
 log = logging.getLogger(__name__)
@@ -101,9 +105,10 @@ class Train:
     paper's figures.
     """
 
-    world: Literal["toyroom", "kinematic"] = "toyroom"
-    """Where the robots live: the toy room, simulated by pybullet, or its twin in plain arithmetic,
-    for thousands of robots at once."""
+    world: str = "toyroom"
+    """Where the robots live: toyroom, simulated by pybullet; kinematic, its twin in plain
+    arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
+    Pendulum-v1 or module:id."""
     preset: Literal["iac2004", "iac2007"] = "iac2004"
     """Which paper's numbers the options start from; they are the defaults shown here."""
     experts: ExpertsName = "knn"
@@ -128,9 +133,17 @@ class Train:
     """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
     there is one)."""
     outcomes: tuple[str, ...] = ()
-    """The sensors to predict, or all; by default what the paper predicts in that world."""
+    """The sensors to predict, or all; by default what the paper predicts in the toy room, and all
+    elsewhere."""
     world_options: tuple[str, ...] = ()
     """Arguments of the world, such as beams=4 sensor_noise=0."""
+    hold: int = 1
+    """For how many steps of the world each action is held."""
+    sensor_bounds: tuple[str, ...] = ()
+    """Bounds of sensors, such as sensor_4=-10,10; what reads beyond is taken for the bound."""
+    bounds_from: int = 1000
+    """Sensors that have no bounds get those of what they read in so many random decisions, and a
+    tenth more on either side."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
@@ -146,26 +159,42 @@ class Train:
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
             check_count(name, getattr(self, name))
+        for name, most in (("hold", MOST_HOLD), ("bounds_from", MOST_BOUNDS_FROM)):
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must lie in [1, {most:,}], got {getattr(self, name)}")
         check_count("recorded_rows", self.recorded_rows, least=0)
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
     def check(self, elsewhere: bool = False) -> None:
         """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
-        (replace(self, device="cpu") if elsewhere else self).space()
+        settings = replace(self, device="cpu") if elsewhere else self
+        settings.space(settings.bounds())
 
-    def make_world(self, n_worlds: int) -> World:
-        """Return as many worlds as asked for."""
-        return make_world(self.world, n_worlds, self.parsed_options(), self.torch_device())
+    def bounds(self) -> Bounds | None:
+        """Return what the sensors are clipped to; None if the world has bounds of its own.
 
-    def space(self) -> SensorimotorSpace:
-        """Return what the robots do, sense and predict, from a single world."""
-        world = self.make_world(1)
-        try:
-            outcomes = self.outcomes or OUTCOMES[self.world]
+        The world is begun once: one that cannot be is known before there is a run.
+        """
+        with closing(self.make_world(1)) as world:
+            world.reset(seed=self.seed)
+            return bounds_of(world, parse_bounds(self.sensor_bounds), self.bounds_from)
+
+    def space(self, bounds: Bounds | None) -> SensorimotorSpace:
+        """Return what the robots do, sense and predict, from a single world with these bounds."""
+        outcomes = self.outcomes or OUTCOMES.get(self.world, ("all",))
+        with closing(self.make_world(1, bounds)) as world:
             return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
-        finally:
-            world.close()
+
+    def make_world(self, n_worlds: int, bounds: Bounds | None = None) -> World:
+        """Return as many worlds as asked for, with these bounds for sensors."""
+        options, device = self.parsed_options(), self.torch_device()
+        return make_world(self.world, n_worlds, options, device, self.hold, bounds)
+
+    def world_identity(self) -> dict[str, Any]:
+        """Return what makes the world what it is."""
+        held = {"hold": self.hold} if self.hold > 1 else {}
+        return {"name": self.world, "options": self.parsed_options(), **held}
 
     def config(self) -> IACConfig:
         """Return the engine's numbers, with the shadows."""
@@ -196,16 +225,15 @@ class Train:
         )
         return self.recorded_agents
 
-    def description(self, words: Sequence[str]) -> dict[str, Any]:
+    def description(self, words: Sequence[str], bounds: Bounds | None) -> dict[str, Any]:
         """Return what `config.json` says of the command; `words` are what the user typed."""
+        world = {**self.world_identity(), "id": WORLDS.get(self.world, self.world)}
+        if bounds is not None:
+            world["bounds"] = {"given": bounds.given, "found": bounds.found}
         return {
             "command": list(words),
-            "versions": {"python": platform.python_version(), **{p: version(p) for p in PACKAGES}},
-            "world": {
-                "name": self.world,
-                "id": WORLDS[self.world],
-                "options": self.parsed_options(),
-            },
+            "versions": {"python": platform.python_version(), **_versions()},
+            "world": world,
             "steps": self.steps,
             "device": self.device,
             "preset": self.preset,
@@ -235,6 +263,11 @@ def parse_train(arguments: Sequence[str]) -> Train:
         args=arguments,
         config=(tyro.conf.AvoidSubcommands,),
     )
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of what a run depends on, as far as it is installed."""
+    return {name: found.version for name in PACKAGES for found in metadata.distributions(name=name)}
 
 
 def _defaults(arguments: Sequence[str]) -> Train:

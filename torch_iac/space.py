@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+WorldOrWorlds = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
+
 UNIT_STEP = 2.0**-23
 """Scaled values are multiples of this. So every one of them, every midpoint of two of them and
 every difference is exact in float32, and sums are exact in float64, in whatever order."""
@@ -146,13 +148,13 @@ class SensorimotorSpace:
     @classmethod
     def from_env(
         cls,
-        env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any],
+        env: WorldOrWorlds,
         outcomes: Sequence[str] | Literal["all"] = "all",
     ) -> Self:
         """Return the space of a Gymnasium world whose actions and observations are boxes.
 
         Names come from the world's `metadata["action_names"]` and `metadata["sensor_names"]`;
-        without them they are `0`, `1`, ...
+        without them they are `action_0`, `action_1`, ... and `sensor_0`, ...
 
         Args:
             env: A world, or a vector of worlds.
@@ -205,22 +207,35 @@ class SensorimotorSpace:
         )
 
 
-def _dimensions(
-    env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any], kind: str
-) -> tuple[Dimension, ...]:
-    box = getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
+def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:
+    box = _box(env, kind)
     if not isinstance(box, gym.spaces.Box) or len(box.shape) != 1:
         raise ValueError(f"the {kind} space must be a flat Box, got {box}")
     if kind == "action" and not np.issubdtype(box.dtype, np.floating):
         raise ValueError(f"the action space must be of real numbers, got {box}")
-    key = "action_names" if kind == "action" else "sensor_names"
-    names = env.metadata.get(key) or [str(i) for i in range(box.shape[0])]
-    if len(names) != box.shape[0]:
-        raise ValueError(f"{key} must name {box.shape[0]} dimensions, got {tuple(names)}")
+    names = names_of(env, "action" if kind == "action" else "sensor")
     if not np.isfinite(box.low).all() or not np.isfinite(box.high).all():
         raise ValueError(f"the {kind} space must have finite bounds, got {box}")
     bounds = zip(names, box.low.tolist(), box.high.tolist(), strict=True)
     return tuple(Dimension(name, low, high) for name, low, high in bounds)
+
+
+def names_of(env: WorldOrWorlds, kind: Literal["action", "sensor"]) -> tuple[str, ...]:
+    """Return the names of a world's actions or sensors, which are flat boxes.
+
+    Raises:
+        ValueError: The world names more or fewer than there are.
+    """
+    n_names = _box(env, "action" if kind == "action" else "observation").shape[0]
+    key = f"{kind}_names"
+    names = tuple(env.metadata.get(key) or (f"{kind}_{i}" for i in range(n_names)))
+    if len(names) != n_names:
+        raise ValueError(f"{key} must name {n_names} dimensions, got {names}")
+    return names
+
+
+def _box(env: WorldOrWorlds, kind: str) -> Any:
+    return getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
 
 
 def _no_such_sensor(name: str, sensors: Sequence[Dimension]) -> str:

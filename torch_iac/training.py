@@ -161,17 +161,21 @@ def world_state(env: World) -> Any:
     Raises:
         AttributeError: They have neither `get_state` nor `STATE`.
     """
-    whole = getattr(env.unwrapped, "get_state", None)
+    whole = getattr(_saved_as_one(env), "get_state", None)
     return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
 
 
 def set_world_state(env: World, state: Any) -> None:
     """Let worlds go on from what `world_state` returned, exactly."""
-    whole = getattr(env.unwrapped, "set_state", None)
+    whole = getattr(_saved_as_one(env), "set_state", None)
     if whole:
         whole(state)
     else:
         env.set_attr(STATE, state)  # type: ignore[attr-defined]
+
+
+def _saved_as_one(env: World) -> World:
+    return env if hasattr(env, "get_state") else env.unwrapped
 
 
 def outcome_of(
