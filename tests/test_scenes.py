@@ -134,7 +134,7 @@ def test_a_life_of_many_episodes_lives_again_to_its_last_outcome(tmp_path: Path)
     with Recorder(tmp_path, agent) as recorder:
         train(agent, first, 8, recorder)
     run = load_run(tmp_path)
-    assert run.column("outcome/0")[:, 0].tolist() == [1, 2, 3, 4, 1, 2, 3, 4]
+    assert run.column("outcome/sensor_0")[:, 0].tolist() == [1, 2, 3, 4, 1, 2, 3, 4]
     scenes = list(relive(run, [Stage("", 2, 6)], world, camera))
     assert [int(scene.pictures[0].max()) for scene in scenes] == [3, 0, 1, 2, 3, 0]
 
