@@ -222,7 +222,9 @@ class _Onlooker:
     def begin_anew(self) -> None:
         """Forget everything."""
         old = self.agent
-        self.agent, self.last = IAC(old.space, old.config, old.seeds, old.device), None
+        if old.n_decisions:
+            self.agent = IAC(old.space, old.config, old.seeds, old.device)
+        self.last = None
 
     def see(self, sensors: Array | Tensor) -> None:
         """Keep what the next actions start from; worlds and users may write over it."""
