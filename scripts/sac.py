@@ -3,9 +3,10 @@
     python -m scripts.sac
 
 Robots whose actions SAC chooses (stable-baselines3), with learning progress as the reward, beside
-robots that choose as the paper says and robots that act at random, paired by seed. Prints how they
-spent their time, what they came to know and how much progress they met, and draws their time.
-Runs that are in the folder already are not run again. Needs the extra `sb3`.
+robots that choose as the paper says and robots that act at random; these are the first ones of
+`scripts.reproduce_paper`. Prints how they spent their time, what they came to know and how much
+progress they met, and draws their time. Runs that are in the folders already are not run again.
+Needs the extra `sb3`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,10 +24,13 @@ from stable_baselines3 import SAC
 from tqdm import tqdm
 
 import torch_iac as iac
+from scripts.claims import each, focus, in_order
+from scripts.reproduce_paper import TEST_EVERY
+from scripts.reproduce_paper import VARIANTS as PAPERS
+from scripts.reproduce_paper import life_of as of_paper
 from scripts.study import Diary, Life, live, tests_of
 from torch_iac.charts import Curves, draw_shares, save
-from torch_iac.measures import FOCUS_SHARES
-from torch_iac.runs import Run, focus_steps, load_run
+from torch_iac.runs import Run, load_run
 
 Values = NDArray[np.float64]
 
@@ -49,8 +53,8 @@ class Learner:
     """Of actor, critics and entropy coefficient."""
     ent_coef: str = "auto_0.1"
     """The entropy coefficient is found by SAC, from 0.1 on."""
-    target_entropy: float = -3.0
-    """How much chance SAC leaves in its actions; -3 is its default here, 2.1 all of it."""
+    target_entropy: float = 0.0
+    """How much chance it leaves in its actions; -3 is its default here, 2.1 would be all chance."""
     net_arch: tuple[int, ...] = (64, 64)
     """Hidden units of actor and critics."""
 
@@ -58,12 +62,13 @@ class Learner:
 SCALE = 100.0
 """What progress is multiplied by, so that rewards are about 1."""
 
-VARIANTS: dict[str, iac.IACConfig | Learner] = {
-    "IAC": iac.IACConfig(),
-    "SAC, next reward only": Learner(gamma=0.0),
-    "SAC, far-sighted": Learner(gamma=0.9),
-    "random": iac.IACConfig(drive=iac.Random()),
-}
+LEARNERS = {"SAC, next reward only": Learner(gamma=0.0), "SAC, far-sighted": Learner(gamma=0.9)}
+
+OTHERS = {"IAC": "knn", "random": "knn-random"}
+"""What the others are called here, and in `scripts.reproduce_paper`."""
+
+N_OTHERS = 15
+"""How many of them there are, with the seeds 0, 1, ..."""
 
 
 @dataclass(frozen=True)
@@ -71,51 +76,52 @@ class Study:
     """How many robots, and for how long."""
 
     seeds: int = 5
-    """How many robots of each kind, with seeds in succession."""
-    first_seed: int = 0
-    """The first of the seeds."""
+    """How many robots SAC drives in each way, with the seeds 0, 1, ..."""
     steps: int = 10_000
     """How many decisions each takes."""
-    test_every: int = 1000
-    """How many decisions lie between two generalisation tests."""
-    only: tuple[str, ...] = ()
-    """Only these rows of the table; all by default."""
     out: Path = Path("runs/sac")
-    """Where the run folders and the figure go."""
+    """Where SAC's run folders and the figure go."""
+    paper: Path = Path("runs/paper")
+    """Where the others' runs are, or go."""
 
 
 def main(study: Study) -> None:
-    """Run what is not there yet, one robot after the other, then print and draw."""
+    """Run what is not there yet, one run after the other, then print and draw."""
     torch.set_num_threads(1)
-    names = study.only or tuple(VARIANTS)
-    seeds = range(study.first_seed, study.first_seed + study.seeds)
-    pairs = [(name, seed) for seed in seeds for name in names]
-    for name, seed in tqdm(pairs, unit="run", disable=None):
-        develop(VARIANTS[name], life_of(study, name, seed))
-    runs = {name: [load_run(life_of(study, name, seed).folder) for seed in seeds] for name in names}
+    pairs = [(seed, name) for seed in range(study.seeds) for name in LEARNERS]
+    for seed, name in tqdm(pairs, unit="run", disable=None):
+        maximise(LEARNERS[name], life_of(study, name, seed))
+    runs = {
+        "IAC": others(study, "IAC"),
+        **{
+            name: [load_run(life_of(study, name, seed).folder) for seed in range(study.seeds)]
+            for name in LEARNERS
+        },
+        "random": others(study, "random"),
+    }
     print_table(runs, study.steps // 2)
     curves = {name: Curves.of(of) for name, of in runs.items()}
     save(draw_shares(curves), study.out / "shares.png")
 
 
 def life_of(study: Study, name: str, seed: int) -> Life:
-    """Return the run of one robot."""
+    """Return the run of a robot that SAC drives."""
     folder = study.out / name.replace(",", "").replace(" ", "-") / f"seed-{seed:03d}"
-    kind = VARIANTS[name]
-    config = kind if isinstance(kind, iac.IACConfig) else iac.IACConfig()
-    return Life(folder, config, (seed,), study.steps, test_every=study.test_every)
+    return Life(folder, iac.IACConfig(), (seed,), study.steps, test_every=TEST_EVERY)
 
 
-def develop(kind: iac.IACConfig | Learner, life: Life) -> None:
-    """Let a robot develop, unless it did already."""
-    if isinstance(kind, iac.IACConfig):
-        live(life)
-    elif not (life.folder / "summary.json").exists():
-        maximise(kind, life)
+def others(study: Study, name: str) -> list[Run]:
+    """Return the run of robots that choose for themselves."""
+    kind = OTHERS[name]
+    life = of_paper(study.paper, "pybullet", kind, PAPERS[kind], range(N_OTHERS), study.steps)
+    live(life)
+    return [load_run(life.folder)]
 
 
 def maximise(kind: Learner, life: Life) -> None:
-    """Let SAC maximise the learning progress of the experts of a robot."""
+    """Let SAC maximise the learning progress of a robot's experts, unless it did already."""
+    if (life.folder / "summary.json").exists():
+        return
     (seed,) = life.seeds
     world = gym.make(life.world)
     env = iac.ProgressReward(world, life.config, outcomes=["toy_distance"], seed=seed, scale=SCALE)
@@ -142,35 +148,42 @@ def keeper(env: iac.ProgressReward, diary: Diary) -> Callable[[dict[str, Any], A
 
 def print_table(runs: Mapping[str, Sequence[Run]], late: int) -> None:
     """Print what became of each kind of robots: means, and the range over robots."""
-    print(
-        f"| | first 1,000: f1, f2, f3 | last {late:,}: f1, f2, f3 | focus on f3 | focus on f2 "
-        "| error in f2, contexts met | error in f2, anywhere | progress a decision, in 1,000ths "
-        f"|\n{'|---' * 8}|"
-    )
-    for name, of in runs.items():
-        cells = [
-            shares(of, slice(1000)),
-            shares(of, slice(-late, None)),
-            *(focus(of, zone) for zone in ("f3", "f2")),
-            *(
-                spread(tests_of(of, which, "absolute")[1][-1], ".4f")
-                for which in ("met", "anywhere")
-            ),
-            spread(1000 * np.array([run.column("progress").mean() for run in of]), ".1f"),
-        ]
-        print(f"| {name} | {' | '.join(cells)} |")
+    print(f"| | {' | '.join(f'{name} ({len(zones_of(of))})' for name, of in runs.items())} |")
+    print("|---" * (1 + len(runs)) + "|")
+    for title, cell in rows(late).items():
+        print(f"| {title} | {' | '.join(cell(of) for of in runs.values())} |")
 
 
-def shares(runs: Sequence[Run], part: slice) -> str:
-    """Return the mean share of each zone in a part of the decisions, and its range."""
-    zones = [run.column("zone")[part, 0] for run in runs]
-    found = np.array([np.bincount(of, minlength=3) / len(of) for of in zones])
-    return ", ".join(spread(of_zone, ".0%") for of_zone in found.T)
+def rows(late: int) -> dict[str, Callable[[Sequence[Run]], str]]:
+    """Return what is measured, and how."""
+
+    def share(part: slice, zone: int) -> Callable[[Sequence[Run]], str]:
+        return lambda of: spread((zones_of(of)[:, part] == zone).mean(axis=1), ".0%")
+
+    def error(which: str, test: int) -> Callable[[Sequence[Run]], str]:
+        return lambda of: spread(tests_of(of, which, "absolute")[1][test], ".4f")
+
+    parts = {"first 1,000": slice(1000), f"last {late:,}": slice(-late, None)}
+    return {
+        **{f"{of}: f{z + 1}": share(part, z) for of, part in parts.items() for z in range(3)},
+        "focus on f3": lambda of: when(focus(of, "f3")),
+        "focus on f2": lambda of: when(focus(of, "f2")),
+        "f3 first, then f2": lambda of: f"{in_order(of).sum()} of {len(in_order(of))}",
+        "error in f2, contexts met": error("met", -1),
+        "error in f2, anywhere": error("anywhere", -1),
+        "progress a decision, in 1,000ths": lambda of: spread(
+            1000 * each(of, lambda run: run.column("progress").mean(axis=0)), ".1f"
+        ),
+    }
 
 
-def focus(runs: Sequence[Run], zone: str) -> str:
-    """Return the median decision at which robots focused on a zone, and how many did."""
-    steps = np.array([focus_steps(run, zone, FOCUS_SHARES[zone])[0] for run in runs], float)
+def zones_of(runs: Sequence[Run]) -> NDArray[np.int64]:
+    """Return the zones of the decisions of each robot, shape `(A, decisions)`."""
+    return np.concatenate([run.column("zone").T for run in runs])
+
+
+def when(steps: Values) -> str:
+    """Return the median decision at which robots did something, and how many did."""
     reached = steps[np.isfinite(steps)]
     if not len(reached):
         return "never"
