@@ -111,6 +111,39 @@ def live_all(lives: Iterable[Life], processes: int) -> list[Run]:
     return [load_run(life.folder) for life in lives]
 
 
+class Diary:
+    """What is kept of robots while they develop: every decision, and a test now and then.
+
+    Args:
+        life: Their run.
+        agent: They.
+        env: Their world.
+        stack: Closes the run's folder in the end.
+    """
+
+    def __init__(self, life: Life, agent: iac.IAC, env: Any, stack: ExitStack) -> None:
+        self._life = life
+        world = {"id": life.world, "options": dict(life.options)}
+        described = {"iac": life.config.to_json(), "world": world}
+        zones = env.metadata["zone_names"]
+        self._recorder = stack.enter_context(Recorder(life.folder, agent, zones, described))
+        self._tests: list[dict[str, Any]] = []
+
+    def keep(self, agent: iac.IAC, step: iac.Step, zones: Any) -> None:
+        """Keep what happened, and test now and then."""
+        self._recorder.record(step, zones)
+        every = self._life.test_every
+        if every and agent.n_decisions % every == 0:
+            options = tuple(self._life.options.items())
+            self._tests += _tested(agent, _test_sets(self._life.world, options))
+
+    def close(self) -> None:
+        """Keep the tests."""
+        if self._tests:
+            columns = {name: [test[name] for test in self._tests] for name in self._tests[0]}
+            write_table(self._life.folder / TESTS, pa.table(columns))
+
+
 class _Robots:
     """The robots of a run while they develop.
 
@@ -121,14 +154,10 @@ class _Robots:
     """
 
     def __init__(self, life: Life, env: Any, stack: ExitStack) -> None:
-        self._life = life
         space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
         self.agent = iac.IAC(space, life.config, life.seeds)
-        world = {"id": life.world, "options": dict(life.options)}
-        described = {"iac": life.config.to_json(), "world": world}
-        zones = env.metadata["zone_names"]
-        self._recorder = stack.enter_context(Recorder(life.folder, self.agent, zones, described))
-        self._tests: list[dict[str, Any]] = []
+        self._folder = life.folder
+        self._diary = Diary(life, self.agent, env, stack)
         self._seconds = 0.0
 
     def act(self, sensors: Any) -> Any:
@@ -139,24 +168,18 @@ class _Robots:
         return actions
 
     def observe(self, sensors: Any, zones: Any) -> None:
-        """Learn, keep what happened, and test now and then."""
+        """Learn, and keep what happened."""
         started = time.process_time()
         step = self.agent.observe(sensors)
         self._seconds += time.process_time() - started
-        self._recorder.record(step, zones)
-        every = self._life.test_every
-        if every and self.agent.n_decisions % every == 0:
-            options = tuple(self._life.options.items())
-            self._tests += _tested(self.agent, _test_sets(self._life.world, options))
+        self._diary.keep(self.agent, step, zones)
 
     def close(self) -> None:
         """Keep the tests, and what the robots cost."""
-        if self._tests:
-            columns = {name: [test[name] for test in self._tests] for name in self._tests[0]}
-            write_table(self._life.folder / TESTS, pa.table(columns))
+        self._diary.close()
         kept = sum(tensor.nbytes for tensor in self.agent.state().values())
         costs = dump_json({"agent_seconds": self._seconds, "state_bytes": kept})
-        (self._life.folder / COSTS).write_bytes(costs)
+        (self._folder / COSTS).write_bytes(costs)
 
 
 def _shared(groups: Sequence[_Robots], *rows: Any) -> Iterator[tuple[Any, ...]]:

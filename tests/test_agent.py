@@ -123,6 +123,80 @@ def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
         check_step(space, robot, agent.observe(sensors))
 
 
+def follow(agent: IAC, n_decisions: int) -> list[Step]:
+    """Let agents live through what others choose for them: random actions, by their seeds."""
+    world, draws = Pendulum(list(agent.seeds)), [np.random.default_rng(s) for s in agent.seeds]
+    sensors, steps = world.reset(), []
+    for _ in range(n_decisions):
+        actions = np.stack([draw.uniform([-1, 0], [1, 10]) for draw in draws])
+        agent.take(actions, sensors)
+        sensors = world.step(actions)
+        steps.append(agent.observe(sensors))
+    return steps
+
+
+def test_actions_that_others_chose_are_learnt_from_as_the_oracle_does(
+    space: SensorimotorSpace,
+) -> None:
+    robot = oracle_of(SMALL)
+    steps = follow(IAC(space, SMALL, seeds=[4]), 600)
+    for step in steps:
+        check_step(space, robot, step)
+    assert robot.n_regions > 20
+    assert not any(step.random_actions.any() for step in steps)
+    assert torch.stack([step.actions for step in steps]).std(dim=0).min() > 0.5
+
+
+def test_what_others_chose_for_one_agent_is_nothing_to_another(space: SensorimotorSpace) -> None:
+    together = follow(IAC(space, LEARNERS, seeds=[3, 1, 7]), 60)
+    alone = follow(IAC(space, LEARNERS, seeds=[7]), 60)
+    for of_many, one in zip(together, alone, strict=True):
+        assert_same(one, of_many, 0, 2)
+
+
+def test_an_action_is_worth_the_progress_of_its_region(space: SensorimotorSpace) -> None:
+    agent = IAC(space, SMALL, seeds=[0, 1])
+    live(agent, 200)
+    seen = set()
+    for push in (-0.9, 0.0, 0.9):
+        for tone in (1.0, 5.0, 9.0):
+            actions, sensors = np.full((2, 2), [push, tone]), np.full((2, 2), [1.0, 0.5])
+            worth = agent.worth(actions, sensors)
+            agent.take(actions, sensors)
+            step = agent.observe(sensors)
+            assert torch.equal(worth, step.progress)
+            seen.update(worth.tolist())
+    assert len(seen) > 4
+
+
+def test_what_an_action_is_worth_is_the_drives_to_say(space: SensorimotorSpace) -> None:
+    stages = (Stage("tone", 2.0, 5.0, until=20), Stage("push", -1.0, 0.5, until=0))
+    agent = IAC(space, replace(SMALL, drive=Curriculum(stages)), seeds=[0, 1])
+    sensors = np.zeros((2, 2))
+    assert agent.worth(np.array([[0.9, 4.0], [0.0, 6.0]]), sensors).tolist() == [1, 0]
+    live(agent, 20)
+    assert agent.worth(np.array([[0.9, 4.0], [0.0, 6.0]]), sensors).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        ([[0.0, 11.0]], r"action tone must lie in \[0, 10\], got 11 from agent 0"),
+        ([[math.nan, 5.0]], r"action push must lie in \[-1, 1\], got nan from agent 0"),
+        ([0.0, 5.0], r"actions must have the shape \(agents, actions\) = \(1, 2\), got \(2,\)"),
+    ],
+)
+def test_actions_of_others_keep_to_the_bounds(
+    space: SensorimotorSpace, actions: list[Any], message: str
+) -> None:
+    agent, sensors = IAC(space, SMALL), np.zeros((1, 2), np.float32)
+    for told in (agent.take, agent.worth):
+        with pytest.raises(ValueError, match=message):
+            told(np.array(actions), sensors)
+    with pytest.raises(RuntimeError, match="needs an action"):
+        agent.observe(sensors)
+
+
 @pytest.mark.parametrize("experts", [KNNExperts(), MLPExperts(hidden=(8,), minibatches=1)])
 def test_predictions_on_request_are_those_of_decisions(
     space: SensorimotorSpace, experts: Experts, monkeypatch: pytest.MonkeyPatch
@@ -546,7 +620,9 @@ def test_bad_sensors_are_refused_and_nothing_is_lost(
 
 def test_observing_needs_an_action_first(space: SensorimotorSpace) -> None:
     agent = IAC(space, SMALL)
-    with pytest.raises(RuntimeError, match="observe needs an action to learn from: call act first"):
+    with pytest.raises(
+        RuntimeError, match="needs an action to learn from: call act first, or take"
+    ):
         agent.observe(np.zeros((1, 2), np.float32))
 
 

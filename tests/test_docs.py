@@ -26,6 +26,8 @@ def test_examples_run(
     block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    if "stable_baselines3" in block:
+        pytest.importorskip("stable_baselines3", reason="needs SB3: pip install 'torch_iac[sb3]'")
     if "runs/some-run" in block:
         main(["train", "--steps", "20", "--out", "runs/some-run"])
     exec(compile(block, "example", "exec"), {})

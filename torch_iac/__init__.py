@@ -24,6 +24,7 @@ from torch_iac.meta import ImprovementPredictor, MetaPredictor
 from torch_iac.networks import MLP
 from torch_iac.progress import ErrorHistory
 from torch_iac.regions import Cut, Genealogy, RegionTree, Split, best_cut
+from torch_iac.reward import ProgressReward, VectorProgressReward
 from torch_iac.space import Dimension, SensorimotorSpace
 from torch_iac.state import Resumable, Stateful
 
@@ -57,6 +58,7 @@ __all__ = [
     "NetworkExperts",
     "Novelty",
     "Progress",
+    "ProgressReward",
     "Proportional",
     "Random",
     "RegionSummary",
@@ -69,5 +71,6 @@ __all__ = [
     "Stage",
     "Stateful",
     "Step",
+    "VectorProgressReward",
     "best_cut",
 ]

@@ -93,7 +93,7 @@ class RegionSummary:
 
 @dataclass(frozen=True)
 class _Decision:
-    """What `act` decided and `observe` needs."""
+    """What was decided, by `act` or by others, and `observe` needs."""
 
     sensors: Tensor  # (A, sensor_dim), raw
     actions: Tensor  # (A, action_dim), raw
@@ -203,13 +203,9 @@ class IAC(Stateful):
         """
         readings = self._checked(sensors)
         numbers = self._choices.at(self.n_decisions)
-        candidates, nodes = self._candidates(readings, numbers[:, 2:])
-        worth = self.config.drive.worth(candidates, self._knowledge())
-        if worth.shape != nodes.shape:
-            raise ValueError(
-                f"a drive's worth must have the shape (agents, candidates) = {tuple(nodes.shape)}, "
-                f"got {tuple(worth.shape)}"
-            )
+        drawn = numbers[:, 2:].reshape(self.n_agents, self.config.n_candidates, -1)
+        candidates, nodes = self._candidates(readings, drawn)
+        worth = self._worth(candidates)
         # Candidates are drawn independently, so the first is a random action.
         random = numbers[:, 0] < self.config.epsilon
         chosen = self.config.choice.pick(worth, numbers[:, 1]).masked_fill_(random, 0)
@@ -221,19 +217,55 @@ class IAC(Stateful):
         return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
 
     @torch.no_grad()
-    def observe(self, sensors: Array) -> Step:
+    def take(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> None:
+        """Be told which action each agent takes now, instead of choosing it by `act`.
+
+        No such action counts as random (epsilon).
+
+        Args:
+            actions: Shape `(A, action_dim)`, in raw units, as an array or a tensor.
+            sensors: Shape `(A, sensor_dim)`, before the actions, alike.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is NaN or outside its bounds.
+        """
+        readings, given, candidates, nodes = self._told(actions, sensors)
+        random = torch.zeros(self.n_agents, dtype=torch.bool, device=self.device)
+        self._decision = _Decision(
+            readings, given, candidates.situations[:, 0], nodes[:, 0], random
+        )
+
+    @torch.no_grad()
+    def worth(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> Tensor:
+        """Return what an action is worth to each agent now, as the config's drive has it.
+
+        Args:
+            actions: Shape `(A, action_dim)`, in raw units, as an array or a tensor.
+            sensors: Shape `(A, sensor_dim)`, before the actions, alike.
+
+        Returns:
+            Shape `(A,)`, float64, in the drive's units: of progress, those of scaled errors.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is NaN or outside its bounds.
+        """
+        _, _, candidates, _ = self._told(actions, sensors)
+        return self._worth(candidates)[:, 0]
+
+    @torch.no_grad()
+    def observe(self, sensors: np.ndarray | Tensor) -> Step:
         """Learn from what the sensors read after the action.
 
         Args:
             sensors: Shape `(A, sensor_dim)`, in raw units, as an array or a tensor.
 
         Raises:
-            RuntimeError: There was no `act` before.
+            RuntimeError: There was no `act` or `take` before.
             ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
         """
         decision = self._decision
         if decision is None:
-            raise RuntimeError("observe needs an action to learn from: call act first")
+            raise RuntimeError("observe needs an action to learn from: call act first, or take")
         readings = self._checked(sensors)
         raw_outcomes = readings.index_select(1, self._outcome_columns)
         outcomes = self._outcome_scale.to_unit(raw_outcomes)
@@ -333,14 +365,16 @@ class IAC(Stateful):
         )
         return RegionSummary(**{name: column.cpu() for name, column in vars(columns).items()})
 
-    def _checked(self, sensors: Array) -> Tensor:
+    def _checked(self, sensors: np.ndarray | Tensor) -> Tensor:
         expected = (self.n_agents, len(self.space.sensors))
         readings = self._given(sensors, "sensors", "agents", expected)
         if not self._asks_late:
             self._sensor_scale.check(readings, "sensor", "agent")
         return readings
 
-    def _given(self, values: Array, what: str, rows: str, expected: tuple[int, int]) -> Tensor:
+    def _given(
+        self, values: np.ndarray | Tensor, what: str, rows: str, expected: tuple[int, int]
+    ) -> Tensor:
         """Return a copy, since worlds reuse their buffers, of values of the right shape."""
         if tuple(values.shape) != expected:
             raise ValueError(
@@ -356,12 +390,32 @@ class IAC(Stateful):
         scale.check(given, what.removesuffix("s"), "situation")
         return scale.to_unit(given)
 
-    def _candidates(self, readings: Tensor, numbers: Tensor) -> tuple[Candidates, Tensor]:
-        actions = numbers.reshape(self.n_agents, self.config.n_candidates, len(self.space.actions))
+    def _told(
+        self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor
+    ) -> tuple[Tensor, Tensor, Candidates, Tensor]:
+        """Return sensors and actions from outside, in raw units, and them as the one candidate."""
+        readings = self._checked(sensors)
+        expected = (self.n_agents, len(self.space.actions))
+        given = self._given(actions, "actions", "agents", expected)
+        self._action_scale.check(given, "action", "agent")
+        candidates, nodes = self._candidates(readings, self._action_scale.to_unit(given)[:, None])
+        return readings, given, candidates, nodes
+
+    def _candidates(self, readings: Tensor, actions: Tensor) -> tuple[Candidates, Tensor]:
+        """Return the situations that actions `(A, C, action_dim)`, scaled, make, and the leaves."""
         context = self._sensor_scale.to_unit(readings)[:, None]
-        situations = torch.cat([actions, context.expand(-1, self.config.n_candidates, -1)], dim=2)
+        situations = torch.cat([actions, context.expand(-1, actions.shape[1], -1)], dim=2)
         nodes = self.tree.route(situations)
         return Candidates(situations, self.tree.rows.take(nodes)), nodes
+
+    def _worth(self, candidates: Candidates) -> Tensor:
+        worth = self.config.drive.worth(candidates, self._knowledge())
+        if worth.shape != candidates.rows.shape:
+            raise ValueError(
+                f"a drive's worth must have the shape (agents, candidates) = "
+                f"{tuple(candidates.rows.shape)}, got {tuple(worth.shape)}"
+            )
+        return worth
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(

@@ -10,8 +10,9 @@ from gymnasium.spaces import Box
 from gymnasium.wrappers import TransformObservation
 from numpy.typing import NDArray
 
+from torch_iac.episodes import outcome_of
 from torch_iac.space import MOST_BOUND, Dimension, names_of
-from torch_iac.training import World, outcome_of
+from torch_iac.training import World
 
 MARGIN = 0.1
 """Found bounds lie so far outside of what was read, as a share of its range."""

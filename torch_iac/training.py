@@ -6,15 +6,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
 from torch_iac.agent import IAC
 from torch_iac.checkpoint import Checkpoint, Checkpoints
 from torch_iac.counts import check_count
+from torch_iac.episodes import outcome_of
 from torch_iac.recording import Recorder
 
 World = gym.vector.VectorEnv[Any, Any, Any]
@@ -176,23 +174,6 @@ def set_world_state(env: World, state: Any) -> None:
 
 def _saved_as_one(env: World) -> World:
     return env if hasattr(env, "get_state") else env.unwrapped
-
-
-def outcome_of(
-    env: World, sensors: Any, is_over: NDArray[np.bool_] | Tensor, info: dict[str, Any]
-) -> Any:
-    """Return what the sensors read after the action, in worlds that then began anew too."""
-    mode = env.metadata.get("autoreset_mode")
-    if mode == AutoresetMode.DISABLED or not is_over.any():
-        return sensors
-    if mode != AutoresetMode.SAME_STEP:
-        raise ValueError(
-            f"a world whose episodes end must be made with autoreset_mode SAME_STEP, got {mode}"
-        )
-    outcome = sensors.copy()
-    for world in np.flatnonzero(is_over):
-        outcome[world] = info["final_obs"][world]
-    return outcome
 
 
 def _counted(taken: int, n_decisions: int) -> Iterator[int]:

@@ -1,0 +1,252 @@
+"""Learning progress as the reward, for any library of reinforcement learning.
+
+Two Gymnasium wrappers, for one world and for a vector of worlds. Experts look on while someone else
+acts: they predict and learn from every transition, and what an action was worth to them, learning
+progress unless the config has another drive, is the reward.
+
+Source: Oudeyer, Kaplan and Hafner (2007), who define learning progress as an internal reward and
+name reinforcement learning as a way to maximise it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torch_iac.agent import IAC, Step
+from torch_iac.config import IACConfig
+from torch_iac.episodes import outcome_of
+from torch_iac.space import SensorimotorSpace
+
+Array: TypeAlias = NDArray[Any]
+
+When: TypeAlias = Literal["learnt", "chosen"]
+"""When an action's worth is asked for: after the experts learnt from it, or before."""
+
+INFO = "iac"
+"""Where `info` holds what the experts made of a transition."""
+
+
+class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordConstructorArgs):
+    """A world whose reward is the learning progress of experts that look on.
+
+        reward = scale * LP of the region that holds (action, sensors)
+
+    With another drive in the config it is what the action is worth to that drive. Actions,
+    observations and their spaces are the world's own. The experts keep what they know from one
+    episode to the next; a reset with a seed begins everything anew, experts included, so that the
+    same seed gives the same rewards again.
+
+    `info["iac"]` holds `world_reward`, the reward that the world itself gave; `error`, in scaled
+    units; `region`, whose expert predicted; and `progress`, of that region before it learnt.
+
+    Args:
+        env: A world whose actions and observations are bounded, flat boxes.
+        config: The numbers of the algorithm. Those by which IAC chooses actions (`choice`,
+            `n_candidates`, `epsilon`) have no say here.
+        outcomes: The names of the sensors to predict, or "all".
+        seed: Seeds what is random in the experts; the world's seed is that of `reset`.
+        when: Whether the reward is what the action is worth once the experts have learnt from it
+            (`"learnt"`, as the papers define it), or was worth when it was chosen (`"chosen"`, what
+            IAC itself goes by). Novelty is gone once learnt: such a drive needs `"chosen"`.
+        scale: What worth is multiplied by. Progress is small, in the toy room some 0.01 at best;
+            most libraries expect rewards of about 1. Infinite worth, as that of novelty where
+            nothing is known, gives no reward.
+
+    Attributes:
+        agent: The experts, a population of one; another one after a reset with a seed.
+        last: What came of the last transition; None before the first one.
+
+    Raises:
+        ValueError: A space or an outcome does not fit, or `when` or `scale` is none of the above.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Array, Array],
+        config: IACConfig | None = None,
+        *,
+        outcomes: Sequence[str] | Literal["all"] = "all",
+        seed: int = 0,
+        when: When = "learnt",
+        scale: float = 1.0,
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(
+            self, config=config, outcomes=outcomes, seed=seed, when=when, scale=scale
+        )
+        gym.Wrapper.__init__(self, env)
+        space = SensorimotorSpace.from_env(env, outcomes)
+        self._onlooker = _Onlooker(IAC(space, config, [seed]), when, scale)
+
+    @property
+    def agent(self) -> IAC:
+        """The experts, a population of one."""
+        return self._onlooker.agent
+
+    @property
+    def last(self) -> Step | None:
+        """What came of the last transition."""
+        return self._onlooker.last
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode; with a seed, the experts' lives too."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        if seed is not None:
+            self._onlooker.begin_anew()
+        self._onlooker.see(observation[None])
+        return observation, info
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Act on the world, and let the experts learn from what came of it.
+
+        Raises:
+            ResetNeeded: The world was not reset.
+            ValueError: An action or a sensor is outside its bounds.
+        """
+        self._onlooker.take(np.asarray(action)[None])
+        observation, world_reward, terminated, truncated, info = self.env.step(action)
+        rewards, seen = self._onlooker.observe(observation[None])
+        self._onlooker.see(observation[None])
+        mine = {name: column.item() for name, column in seen.items()}
+        info = {**info, INFO: {"world_reward": world_reward, **mine}}
+        return observation, rewards.item(), terminated, truncated, info
+
+
+class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
+    """As `ProgressReward`, for a vector of worlds: each has experts of its own.
+
+    Rewards and what `info["iac"]` holds have shape `(A,)`; they are arrays or, where the world's
+    rewards are tensors, tensors. Worlds whose episodes end must be made with
+    `AutoresetMode.SAME_STEP`, or left to be reset by others.
+
+    Args:
+        env: A vector of such worlds.
+        config: The numbers of the algorithm.
+        outcomes: The names of the sensors to predict, or "all".
+        seeds: One for each world's experts; 0, 1, ... if not given.
+        when: When worth is asked for: `"learnt"` or `"chosen"`.
+        scale: What worth is multiplied by.
+        device: Where the experts are kept.
+
+    Attributes:
+        agent: The experts, an agent a world; another population after a reset with a seed.
+        last: What came of the last transitions; None before the first ones.
+
+    Raises:
+        ValueError: As for `ProgressReward`, or there are not as many seeds as worlds.
+    """
+
+    def __init__(
+        self,
+        env: gym.vector.VectorEnv[Any, Any, Any],
+        config: IACConfig | None = None,
+        *,
+        outcomes: Sequence[str] | Literal["all"] = "all",
+        seeds: Sequence[int] | None = None,
+        when: When = "learnt",
+        scale: float = 1.0,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__(env)
+        seeds = range(env.num_envs) if seeds is None else seeds
+        if len(seeds) != env.num_envs:
+            raise ValueError(f"seeds must name one for each of {env.num_envs} worlds, got {seeds}")
+        space = SensorimotorSpace.from_env(env, outcomes)
+        self._onlooker = _Onlooker(IAC(space, config, seeds, device), when, scale)
+
+    @property
+    def agent(self) -> IAC:
+        """The experts, an agent a world."""
+        return self._onlooker.agent
+
+    @property
+    def last(self) -> Step | None:
+        """What came of the last transitions."""
+        return self._onlooker.last
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes; with a seed, all experts' lives too."""
+        sensors, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        if seed is not None:
+            self._onlooker.begin_anew()
+        self._onlooker.see(sensors)
+        return sensors, info
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act on the worlds, and let the experts learn from what came of it.
+
+        Raises:
+            ResetNeeded: The worlds were not reset.
+            ValueError: An action or a sensor is outside its bounds, or an episode ended in worlds
+                that do not show its end.
+        """
+        self._onlooker.take(actions)
+        sensors, world_rewards, terminated, truncated, info = self.env.step(actions)
+        outcomes = outcome_of(self.env, sensors, terminated | truncated, info)
+        rewards, seen = self._onlooker.observe(outcomes)
+        self._onlooker.see(sensors)
+        mine = {name: _like(world_rewards, column) for name, column in seen.items()}
+        info = {**info, INFO: {"world_reward": world_rewards, **mine}}
+        return sensors, _like(world_rewards, rewards), terminated, truncated, info
+
+
+class _Onlooker:
+    """Agents that learn from what others do, and say what it was worth.
+
+    Args:
+        agent: They, knowing nothing yet.
+        when: When worth is asked for.
+        scale: What it is multiplied by.
+    """
+
+    def __init__(self, agent: IAC, when: str, scale: float) -> None:
+        if when not in ("learnt", "chosen"):
+            raise ValueError(f"when must be learnt or chosen, got {when}")
+        if not (math.isfinite(scale) and scale > 0):
+            raise ValueError(f"scale must be finite and above 0, got {scale}")
+        self.agent = agent
+        self.last: Step | None = None
+        self._when, self._scale = when, scale
+        self._sensors: Tensor | None = None
+
+    def begin_anew(self) -> None:
+        """Forget everything."""
+        old = self.agent
+        if old.n_decisions:
+            self.agent = IAC(old.space, old.config, old.seeds, old.device)
+        self.last = None
+
+    def see(self, sensors: Array | Tensor) -> None:
+        """Keep what the next actions start from; worlds and users may write over it."""
+        self._sensors = sensors.clone() if isinstance(sensors, Tensor) else torch.tensor(sensors)
+
+    def take(self, actions: Array | Tensor) -> None:
+        """Be told what is done now."""
+        if self._sensors is None:
+            raise ResetNeeded("reset must be called before step")
+        self.agent.take(actions, self._sensors)
+        if self._when == "chosen":
+            self._worth = self.agent.worth(actions, self._sensors)
+
+    def observe(self, sensors: Array | Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Learn from what came of it; return rewards `(A,)`, and what the experts made of it."""
+        self.last = step = self.agent.observe(sensors)
+        if self._when == "learnt":
+            self._worth = self.agent.worth(step.actions, step.sensors)
+        rewards = self._scale * self._worth.masked_fill(self._worth.isinf(), 0.0)
+        return rewards, {"error": step.errors, "region": step.regions, "progress": step.progress}
+
+
+def _like(world_rewards: Array | Tensor, column: Tensor) -> Array | Tensor:
+    """Return a column in the form of the world's own: a tensor or an array."""
+    return column if isinstance(world_rewards, Tensor) else column.cpu().numpy()
