@@ -13,10 +13,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.stats import binomtest
 
 from scripts.study import F2, tests_of
-from torch_iac.generalisation import plateau
+from torch_iac.generalisation import Transitions, plateau
 from torch_iac.intervals import Estimate, difference, mean
 from torch_iac.measures import FOCUS_SHARES, SETTLING, leaf_purity
 from torch_iac.runs import Run, focus_steps
@@ -214,6 +215,33 @@ def catching_up(runs: Sequence[Run], others: Sequence[Run], which: str) -> Value
     steps, errors = tests_of(runs, which, "absolute")
     reached = errors <= last_error(others, which, "absolute").mean()
     return np.where(reached.any(axis=0), steps[reached.argmax(axis=0)], np.nan)
+
+
+def gaps(runs: Sequence[Run], sets: Mapping[str, Transitions]) -> Values:
+    """Return how far contexts met are from the nearest thing that each robot did in f2.
+
+    The mean Euclidean distance, in the unit cube of situations, of the transitions set aside to the
+    nearest decision in f2 of the robot's whole life: how well it has covered f2.
+
+    Args:
+        runs: The runs.
+        sets: The test sets of their world.
+    """
+    return each(runs, lambda run: _gaps(run, sets["met"]))
+
+
+def _gaps(run: Run, asked: Transitions) -> list[float]:
+    bounds = np.array([(d.low, d.high) for d in run.space.situation])
+    low, span = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
+    points = (np.concatenate([asked.actions, asked.sensors], axis=1) - low) / span
+    columns = [f"action/{d.name}" for d in run.space.actions]
+    columns += [f"sensor/{d.name}" for d in run.space.sensors]
+    lived = (np.stack([run.column(name) for name in columns], axis=-1) - low) / span  # (T, A, D)
+    zones = run.column("zone")
+    return [
+        float(cdist(points, lived[zones[:, agent] == F2, agent]).min(axis=1).mean())
+        for agent in range(run.n_agents)
+    ]
 
 
 def _purity(group: Group) -> Estimate:

@@ -20,8 +20,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import torch_iac as iac
-from scripts.claims import CLAIMS, F1, LATE, Claim, Group, catching_up, last_error, ratio, time_in
-from scripts.study import F2, KINEMATIC, WORLD, Life, live_all, tests_of
+from scripts.claims import (
+    CLAIMS,
+    F1,
+    LATE,
+    Claim,
+    Group,
+    catching_up,
+    gaps,
+    last_error,
+    ratio,
+    time_in,
+)
+from scripts.study import F2, KINEMATIC, WORLD, Life, live_all, sets_aside, tests_of
 from torch_iac.charts import COLOURS, save
 from torch_iac.figures import STYLE, time_axis
 from torch_iac.intervals import Estimate, band, mean
@@ -163,14 +174,19 @@ def _cell(claim: Claim, robots: Group) -> str:
 
 def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print how every kind of robot does on the tests, beside RANDOM of its own kind."""
-    print(
-        "\n| robots | time in f1 | in f2 | error, contexts met | of RANDOM's | RANDOM's last error "
-        "at | error, anywhere | of RANDOM's | RANDOM's last error at |"
-    )
-    print("|---" * 9 + "|")
+    titles = ["robots", "time in f1", "in f2", "gaps in f2"]
+    titles += [
+        title
+        for where in ("contexts met", "anywhere")
+        for title in (f"error, {where}", "of RANDOM's", "RANDOM's last error at")
+    ]
+    print(f"\n| {' | '.join(titles)} |")
+    print("|---" * len(titles) + "|")
     for name, mine in runs.items():
         others = runs[f"{name.partition('-')[0]}-random"]
         cells = [_interval(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        sets = sets_aside(KINEMATIC, tuple(VARIANTS[name].options.items()))
+        cells.append(_interval(mean(gaps(mine, sets)), ".3f"))
         for which in SETS:
             errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
             cells += [_interval(mean(errors), ".4f"), _interval(ratio(errors, theirs), ".2f")]

@@ -135,7 +135,7 @@ class Diary:
         every = self._life.test_every
         if every and agent.n_decisions % every == 0:
             options = tuple(self._life.options.items())
-            self._tests += _tested(agent, _test_sets(self._life.world, options))
+            self._tests += _tested(agent, sets_aside(self._life.world, options))
 
     def close(self) -> None:
         """Keep the tests."""
@@ -201,7 +201,7 @@ def _tested(agent: iac.IAC, sets: Mapping[str, Transitions]) -> list[dict[str, A
 
 
 @cache
-def _test_sets(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
+def sets_aside(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
     """Return what is set aside in a world: transitions in f2, of two kinds."""
     env = gym.make_vec(world, num_envs=1, **dict(options))
     space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
