@@ -49,7 +49,7 @@ def test_a_robot_that_sac_drives_leaves_a_run_like_any_other(
     from scripts.sac import Learner, maximise
 
     monkeypatch.setattr(study, "N_TESTED", 5)
-    study._test_sets.cache_clear()
+    study.sets_aside.cache_clear()
     life = study.Life(tmp_path / "a", iac.IACConfig(), (3,), 40, test_every=20)
     maximise(Learner(gamma=0.5, learning_starts=20, batch_size=8), life)
     run = load_run(life.folder)
@@ -59,4 +59,4 @@ def test_a_robot_that_sac_drives_leaves_a_run_like_any_other(
     assert steps.tolist() == [20, 40]
     assert errors.shape == (2, 1)
     assert not np.allclose(errors[0], errors[1])
-    study._test_sets.cache_clear()
+    study.sets_aside.cache_clear()
