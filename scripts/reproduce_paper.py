@@ -68,10 +68,10 @@ def _of_2007(drive: iac.Drive) -> Variant:
 VARIANTS = {
     "knn": Variant(iac.IACConfig(), in_pybullet=True),
     "knn-random": Variant(iac.IACConfig(drive=iac.Random()), in_pybullet=True),
-    "knn-max": Variant(iac.IACConfig(drive=iac.Error()), in_pybullet=True),
-    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP), in_pybullet=True),
+    "knn-max": Variant(iac.IACConfig(drive=iac.Error())),
+    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP)),
     "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
-    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random()), in_pybullet=True),
+    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random())),
     "mlp-max": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Error())),
     "knn-proportional": Variant(
         iac.IACConfig(drive=iac.AbsoluteProgress(), choice=iac.Proportional())
@@ -80,7 +80,6 @@ VARIANTS = {
     "mlp-curriculum": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Curriculum())),
     "2007": _of_2007(iac.Progress()),
     "2007-random": _of_2007(iac.Random()),
-    "2007-max": _of_2007(iac.Error()),
 }
 
 

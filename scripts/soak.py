@@ -111,7 +111,7 @@ def line(folder: Path, first: Look, last: Look, look: Look) -> str:
     each = 1000 * (look.seconds - last.seconds) / (look.n_decisions - last.n_decisions)
     numbers = len(load_run(folder).space.situation) + len(load_run(folder).space.outcomes)
     raw = 4 * numbers * (look.n_decisions - first.n_decisions)
-    sizes = [size(folder, name) for name in (EVENTS, f"{STEPS}/*", REGIONS, f"{CHECKPOINTS}/*")]
+    sizes = [size(folder, name) for name in (EVENTS, f"{STEPS}/*", REGIONS, f"{CHECKPOINTS}/**/*")]
     cells = [f"{look.n_decisions:,}", f"{each:.2f}"]
     cells += [f"{of / MIB:.1f}" for of in (look.memory - first.memory, raw, *sizes)]
     return f"| {' | '.join(cells)} |"
@@ -119,7 +119,7 @@ def line(folder: Path, first: Look, last: Look, look: Look) -> str:
 
 def size(folder: Path, pattern: str) -> int:
     """Return how many bytes some files of a folder have."""
-    return sum(path.stat().st_size for path in folder.glob(pattern))
+    return sum(path.stat().st_size for path in folder.glob(pattern) if path.is_file())
 
 
 if __name__ == "__main__":
