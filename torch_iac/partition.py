@@ -123,7 +123,7 @@ def situation_at(run: Run, step: int, agent: int = 0) -> dict[str, float]:
 def _is_leaf(row: Mapping[str, Any], step: int) -> bool:
     """Return whether a region was there, and whole, when a decision was chosen."""
     is_born = row["parent"] < 0 or row["born_step"] < step
-    return is_born and (row["split_step"] < 0 or row["split_step"] >= step)
+    return bool(is_born and (row["split_step"] < 0 or row["split_step"] >= step))
 
 
 def _boxes(family: Iterable[Mapping[str, Any]], space: SensorimotorSpace) -> tuple[Values, Values]:
