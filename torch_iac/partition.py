@@ -3,7 +3,7 @@
 Shapes: `L` leaves, `D` situation dimensions.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -126,21 +126,20 @@ def _is_leaf(row: Mapping[str, Any], step: int) -> bool:
     return bool(is_born and (row["split_step"] < 0 or row["split_step"] >= step))
 
 
-def _boxes(family: Iterable[Mapping[str, Any]], space: SensorimotorSpace) -> tuple[Values, Values]:
+def _boxes(family: Sequence[Mapping[str, Any]], space: SensorimotorSpace) -> tuple[Values, Values]:
     """Return the low and high sides of every region, `(R, D)`; parents come before children."""
-    rows = list(family)
-    lows = np.tile([d.low for d in space.situation], (len(rows), 1)).astype(np.float64)
-    highs = np.tile([d.high for d in space.situation], (len(rows), 1)).astype(np.float64)
-    first_child = set[int]()
-    for row in rows:
+    lows = np.tile([d.low for d in space.situation], (len(family), 1)).astype(np.float64)
+    highs = np.tile([d.high for d in space.situation], (len(family), 1)).astype(np.float64)
+    have_child = set[int]()
+    for row in family:
         region, parent = row["region"], row["parent"]
         if parent < 0:
             continue
         lows[region], highs[region] = lows[parent], highs[parent]
-        column = space.situation_names.index(rows[parent]["cut_dimension"])
-        side = lows if parent in first_child else highs  # the child below the cut comes first
-        side[region, column] = rows[parent]["cut_value"]
-        first_child.add(parent)
+        column = space.situation_names.index(family[parent]["cut_dimension"])
+        side = lows if parent in have_child else highs  # the child below the cut comes first
+        side[region, column] = family[parent]["cut_value"]
+        have_child.add(parent)
     return lows, highs
 
 
