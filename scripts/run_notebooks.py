@@ -19,6 +19,9 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 """What an output says that only shows in a running notebook."""
 
+BANNER = "pybullet build time"
+"""How what pybullet says when it is imported begins."""
+
 MOST_SECONDS = 3600
 """A cell that takes longer is stopped."""
 
@@ -67,7 +70,11 @@ def tidy(notebook: NotebookNode) -> None:
     notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
     for cell in notebook.cells:
         if cell.cell_type == "code":
-            cell.outputs = [out for out in cell.outputs if WIDGET not in out.get("data", {})]
+            cell.outputs = [output for output in cell.outputs if _is_kept(output)]
+
+
+def _is_kept(output: NotebookNode) -> bool:
+    return WIDGET not in output.get("data", {}) and not output.get("text", "").startswith(BANNER)
 
 
 if __name__ == "__main__":
