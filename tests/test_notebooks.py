@@ -24,7 +24,7 @@ PLACE = re.compile(r"(?<![\w.])/(home|root|tmp|Users|var|work)/")
 
 
 def read(path: Path) -> NotebookNode:
-    notebook: NotebookNode = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
+    notebook: NotebookNode = nbformat.read(path, as_version=4)
     return notebook
 
 
