@@ -19,6 +19,8 @@ PATHS = [pytest.param(path, id=path.stem) for path in notebooks()]
 MOST_BYTES = 1_000_000
 """A notebook that is larger takes long to show."""
 
+KERNEL = {"name": "python3", "display_name": "Python 3"}
+
 PLACE = re.compile(r"(?<![\w.])/(home|root|tmp|Users|var|work)/")
 """A place on somebody's machine."""
 
@@ -99,7 +101,7 @@ def test_what_only_a_running_notebook_shows_is_left_out() -> None:
         nbformat.v4.new_output("display_data", data={"image/png": ""}),
     ]
     notebook = nbformat.v4.new_notebook(
-        cells=[cell], metadata={"kernelspec": {"name": "python3"}, "widgets": {}}
+        cells=[cell], metadata={"kernelspec": KERNEL, "widgets": {}}
     )
     tidy(notebook)
     assert [list(output.data) for output in cell.outputs] == [["image/png"]]
