@@ -125,7 +125,7 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
     curves = error_curves(run, agent, window)
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)
-        colours, key = _zone_colours(run, agent) if run.zone_names else _depth_colours(run, agent)
+        colours, key = region_colours(run, agent)
         axes.add_collection(
             LineCollection(
                 [_points(curve) for curve in curves],
@@ -137,7 +137,7 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
         axes.autoscale_view(scalex=False)
         axes.set_ylim(bottom=0)
         axes.set_ylabel(f"Mean of last {window} errors (scaled)")
-        _legend(figure, [_line(colour, name) for name, colour in key.items()])
+        legend(figure, [_line(colour, name) for name, colour in key.items()])
     return figure
 
 
@@ -163,19 +163,19 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)
         for zone in range(len(run.zone_names)):
-            colour, mean = _zone_colour(zone), shares[:, :, zone].mean(axis=1)
+            colour, mean = zone_colour(zone), shares[:, :, zone].mean(axis=1)
             axes.plot(middles, mean, color=colour, linewidth=1.2)
             axes.fill_between(middles, low[:, zone], high[:, zone], **_band(colour))
         axes.set_ylim(0, 1)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylabel(f"Share of time in {window} decisions")
         key: list[Line2D | Patch] = [
-            _line(_zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
+            _line(zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
         ]
         if run.n_agents > 1:
             label = f"95 % bootstrap CI\nof the mean, {run.n_agents:,} agents"
             key.append(Patch(label=label, **_band(MIXED_COLOUR)))
-        _legend(figure, key)
+        legend(figure, key)
     return figure
 
 
@@ -204,10 +204,10 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
             if (errors > 0).any():
                 panels[0].set_yscale("log")  # and with it the others
         for zone, name in enumerate(run.zone_names):
-            panels[zone].set_title(name, color=_zone_colour(zone), fontsize=8, fontweight="bold")
+            panels[zone].set_title(name, color=zone_colour(zone), fontsize=8, fontweight="bold")
         panels[0].set_ylabel(f"Mean error in {window} decisions (scaled)")
         key = ["main experts" if name == MAIN else name for name in run.error_columns]
-        _legend(figure, [_line(_expert_colour(place), name) for place, name in enumerate(key)])
+        legend(figure, [_line(_expert_colour(place), name) for place, name in enumerate(key)])
     return figure
 
 
@@ -230,20 +230,20 @@ def draw_calibration(run: Run) -> Figure:
         axes.axline((0.01, 0.01), (0.1, 0.1), color=MIXED_COLOUR, linewidth=0.8, zorder=0)
         axes.plot(found.expected, found.actual, **DECILES)
         for zone, (name, of) in enumerate(found.zones.items()):
-            axes.plot(of.expected, of.actual, "D", color=_zone_colour(zone), markersize=5)
+            axes.plot(of.expected, of.actual, "D", color=zone_colour(zone), markersize=5)
             axes.annotate(
                 name,
                 (of.expected, of.actual),
                 (6, -7),
                 textcoords="offset points",
-                color=_zone_colour(zone),
+                color=zone_colour(zone),
                 fontweight="bold",
                 fontsize=7,
             )
         _square(axes, found)
         axes.set_xlabel("Error expected by MP (scaled)")
         axes.set_ylabel("Mean error (scaled)")
-        _legend(
+        legend(
             figure,
             [
                 Line2D(
@@ -282,7 +282,7 @@ def time_axis(axes: Axes, n_decisions: int, n_ticks: int = 5) -> None:
     axes.set_xlabel("Decisions")
 
 
-def _legend(figure: Figure, key: Sequence[Line2D | Patch]) -> None:
+def legend(figure: Figure, key: Sequence[Line2D | Patch]) -> None:
     """Put a legend above the axes, clear of the data."""
     figure.legend(
         handles=key,
@@ -302,7 +302,8 @@ def _band(colour: str) -> dict[str, Any]:
     return {"color": colour, "alpha": 0.25, "linewidth": 0}
 
 
-def _zone_colour(zone: int) -> str:
+def zone_colour(zone: int) -> str:
+    """Return the colour of a zone."""
     return ZONE_COLOURS[zone % len(ZONE_COLOURS)]
 
 
@@ -310,14 +311,21 @@ def _expert_colour(place: int) -> str:
     return EXPERT_COLOURS[place % len(EXPERT_COLOURS)]
 
 
+def region_colours(run: Run, agent: int = 0) -> tuple[list[str], dict[str, str]]:
+    """Return the colour of each region, and what colours mean.
+
+    It is that of the zone which the region mostly covers, or of its depth in a world without zones.
+    """
+    return _zone_colours(run, agent) if run.zone_names else _depth_colours(run, agent)
+
+
 def _zone_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:
-    """Return the colour of each region by the zone it mostly covers, and what colours mean."""
     cover = region_zones(run, agent)
     colours = [
-        _zone_colour(zone) if purity >= LEAST_PURITY else MIXED_COLOUR
+        zone_colour(zone) if purity >= LEAST_PURITY else MIXED_COLOUR
         for zone, purity in zip(cover.zone.tolist(), cover.purity.tolist(), strict=True)
     ]
-    key = {name: _zone_colour(zone) for zone, name in enumerate(run.zone_names)}
+    key = {name: zone_colour(zone) for zone, name in enumerate(run.zone_names)}
     return colours, {**key, "several zones": MIXED_COLOUR}
 
 

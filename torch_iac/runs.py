@@ -36,8 +36,9 @@ WINDOW = 250
 """How many decisions a window of time holds, if nobody says otherwise; and the windows in which
 runs keep what all their agents did."""
 
-ERROR_WINDOW = 150
-"""Over how many errors a mean error is taken in a run whose config does not say."""
+ERROR_WINDOW, DELAY = 150, 150
+"""Over how many errors a mean error is taken, and how many lie between the two means that make
+learning progress, in a run whose config does not say."""
 
 
 def load_run(folder: Path | str) -> "Run":
@@ -146,6 +147,11 @@ class Run:
     def error_window(self) -> int:
         """Over how many errors its agents take a mean error: their config's `window`."""
         return int(self.config.get("iac", {}).get("window", ERROR_WINDOW))
+
+    @property
+    def delay(self) -> int:
+        """How many errors lie between the means that its agents compare: their config's `delay`."""
+        return int(self.config.get("iac", {}).get("delay", DELAY))
 
     @property
     def inherits_history(self) -> bool:
