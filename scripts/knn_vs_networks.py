@@ -32,12 +32,12 @@ from torch_iac.runs import Run
 KINDS = {
     "knn": VARIANTS["knn"],
     "mlp": VARIANTS["mlp"],
-    "wide": Variant(IACConfig(experts=MLPExperts(hidden=(128, 128)))),
+    "wide": Variant(IACConfig(experts=MLPExperts(hidden=(64, 64)))),
 }
 LABELS = {
     "knn": "nearest neighbours",
     "mlp": "networks, 32 and 32",
-    "wide": "networks, 128 and 128",
+    "wide": "networks, 64 and 64",
 }
 REFERENCE = "knn"
 
