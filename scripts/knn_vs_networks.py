@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scripts.claims import F1, catching_up, each, focus, last_error, time_in
-from scripts.reproduce_paper import SETS, VARIANTS, Variant, life_of
+from scripts.reproduce_paper import SETS, VARIANTS, Variant, error_axis, life_of
 from scripts.study import COSTS, F2, live_all, tests_of
 from torch_iac import IACConfig, MLPExperts
 from torch_iac.charts import COLOURS, save
@@ -69,6 +69,8 @@ class Study:
 
     seeds: int = 100
     """How many robots of each kind, with the seeds 0, 1, ..."""
+    wide_seeds: int = 30
+    """How many with the wider networks, which cost most; paired with the first of the others."""
     steps: int = 10_000
     """How many decisions each takes."""
     out: Path = Path("runs/paper")
@@ -80,8 +82,10 @@ class Study:
 def main(study: Study) -> None:
     """Run what is not there yet, then print and draw."""
     lives = [
-        life_of(study.out, "kinematic", name, kind, range(study.seeds), study.steps)
-        for name, kind in KINDS.items()
+        life_of(study.out, "kinematic", name, kind, range(n_seeds), study.steps)
+        for (name, kind), n_seeds in zip(
+            KINDS.items(), (study.seeds, study.seeds, study.wide_seeds), strict=True
+        )
     ]
     runs = dict(zip(KINDS, ([run] for run in live_all(lives, study.processes)), strict=True))
     print_differences(runs)
@@ -92,7 +96,9 @@ def main(study: Study) -> None:
 def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print each measure of each kind, and how it differs from nearest neighbours, paired."""
     others = [name for name in runs if name != REFERENCE]
-    titles = [LABELS[name] for name in runs] + [f"{LABELS[name]}: difference" for name in others]
+    counts = {name: sum(run.n_agents for run in of) for name, of in runs.items()}
+    titles = [f"{LABELS[name]} ({counts[name]})" for name in runs]
+    titles += [f"{LABELS[name]}: difference" for name in others]
     print(f"| | {' | '.join(titles)} |\n{'|---' * (1 + len(titles))}|")
     for title, (measure, unit) in MEASURES.items():
         values = {name: measure(of) for name, of in runs.items()}
@@ -115,6 +121,7 @@ def _reached(runs: Sequence[Run], others: Sequence[Run], which: str) -> str:
 
 def _cell(values: Values, less: Values | None, unit: str) -> str:
     """Return a mean, or that of a difference, over the robots that have it, and its interval."""
+    less = None if less is None else less[: len(values)]
     known = np.isfinite(values) if less is None else np.isfinite(values) & np.isfinite(less)
     found = mean(values[known]) if less is None else difference(values[known], less[known])
     sign = "" if less is None else "+"
@@ -125,7 +132,7 @@ def _cell(values: Values, less: Values | None, unit: str) -> str:
 
 def print_costs(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print what a robot costs."""
-    print("\\n| | ms a decision of a robot | memory of a robot (kB) |\\n|---|---|---|")
+    print("\n| | ms a decision of a robot | memory of a robot (kB) |\\n|---|---|---|")
     for name, (run,) in runs.items():
         costs = parse_json((run.folder / COSTS).read_bytes())
         each_ms = 1000 * costs["agent_seconds"] / (run.n_agents * run.n_decisions)
@@ -149,7 +156,7 @@ def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
                 panel.plot(steps, errors.mean(axis=1), color=colour, label=LABELS[name])
                 panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
             time_axis(panel, int(steps[-1]), n_ticks=4)
-            panel.set_yscale("log")
+            error_axis(panel)
             panel.set_title(title, fontsize=8)
         panels[0].set_ylabel("Mean absolute error in f2 (scaled)")
         handles, labels = panels[0].get_legend_handles_labels()

@@ -18,6 +18,7 @@ import numpy as np
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
 import torch_iac as iac
 from scripts.claims import (
@@ -72,7 +73,6 @@ VARIANTS = {
     "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP)),
     "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
     "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random())),
-    "mlp-max": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Error())),
     "knn-proportional": Variant(
         iac.IACConfig(drive=iac.AbsoluteProgress(), choice=iac.Proportional())
     ),
@@ -102,6 +102,8 @@ LABELS = {
     "proportional": "in proportion to absolute progress",
 }
 """What is drawn, under which name."""
+
+ERROR_TICKS = (0.02, 0.03, 0.05, 0.1, 0.2)
 
 SETS = {"met": "Contexts met under random actions", "anywhere": "Poses drawn over the room"}
 
@@ -216,8 +218,8 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
                 _draw_curves(panel, robots, which)
                 panel.set_title(f"{title}, {kinds[kind]}", fontsize=8)
             row[0].set_ylabel("Mean absolute error in f2 (scaled)")
-        for panel in panels[-1]:
-            panel.set_xlabel("Decision")
+        for panel in panels[:-1].flat:
+            panel.set_xlabel("")
         handles, labels = panels[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure
@@ -230,7 +232,15 @@ def _draw_curves(panel: Axes, robots: Group, which: str) -> None:
             panel.plot(steps, errors.mean(axis=1), color=COLOURS[place], label=label, linewidth=1.2)
             panel.fill_between(steps, *band(errors), color=COLOURS[place], alpha=0.2, linewidth=0)
     time_axis(panel, int(steps[-1]), n_ticks=4)
+    error_axis(panel)
+
+
+def error_axis(panel: Axes) -> None:
+    """Let a panel's vertical axis be errors, in plain numbers."""
     panel.set_yscale("log")
+    panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
+    panel.yaxis.set_minor_locator(NullLocator())
+    panel.yaxis.set_major_formatter("{x:g}")
 
 
 def _lives(study: Study) -> Iterator[tuple[str, str, Life]]:
