@@ -132,7 +132,7 @@ def _cell(values: Values, less: Values | None, unit: str) -> str:
 
 def print_costs(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print what a robot costs."""
-    print("\n| | ms a decision of a robot | memory of a robot (kB) |\\n|---|---|---|")
+    print("\n| | ms a decision of a robot | memory of a robot (kB) |\n|---|---|---|")
     for name, (run,) in runs.items():
         costs = parse_json((run.folder / COSTS).read_bytes())
         each_ms = 1000 * costs["agent_seconds"] / (run.n_agents * run.n_decisions)
