@@ -1,8 +1,8 @@
-"""Take pictures of TensorBoard's pages as a browser shows them, for docs/tensorboard.md.
+r"""Take pictures of TensorBoard's pages as a browser shows them, for docs/tensorboard.md.
 
     torch-iac train --world kinematic --seed 0 --steps 3000 --out runs/board/seed-0
-    torch-iac compare runs/drives --seeds 8 --block 8 --variant "progress:" \\
-        --variant "error: --drive error" --variant "random: --drive random" \\
+    torch-iac compare runs/drives --seeds 8 --block 8 --variant "progress:" \
+        --variant "error: --drive error" --variant "random: --drive random" \
         -- --world kinematic --no-mp --steps 3000
     python -m scripts.draw_tensorboard --runs runs/board --comparison runs/drives
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import FloatRect, Page, sync_playwright
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 """The programs that will do, the first that is there."""
@@ -39,6 +39,12 @@ PATIENCE = 180_000
 
 CHART = "tf-custom-scalar-multi-line-chart-card"
 """What TensorBoard calls a chart on its page of custom scalars."""
+
+N_CHARTS = 4
+"""How many there are."""
+
+CHARTS = FloatRect(x=310, y=64, width=770, height=960)
+"""Where in the window they are; beside them stands the folder's path, which nobody wants to see."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +105,9 @@ def browse(address: str, browser: str, width: int, height: int) -> Iterator[Page
             program.close()
 
 
-def open_tab(page: Page, name: str) -> None:
-    """Choose one of TensorBoard's pages, as a user does."""
-    page.get_by_role("tab", name=name, exact=True).click()
+def open_tab(page: Page, plugin: str) -> None:
+    """Choose one of TensorBoard's pages by the name of its plugin, as a user does by a click."""
+    page.locator(f".plugin-name[data-plugin-id={plugin}]").first.click()
 
 
 def draw(pictures: Pictures) -> None:
@@ -119,13 +125,15 @@ def draw(pictures: Pictures) -> None:
         page.get_by_role("button", name="Settings").first.click()  # which makes room
         _settle(page)
         page.screenshot(path=pictures.out / "timeseries.png")
-        open_tab(page, "Custom Scalars")
-        for button in page.locator(f"{CHART} .toggle-matches-button").all():
+        open_tab(page, "custom_scalars")
+        buttons = page.locator(f"{CHART} .toggle-matches-button")
+        buttons.nth(N_CHARTS - 1).wait_for()
+        for button in buttons.all():
             button.click()  # which says what the lines are
         _settle(page)
-        page.screenshot(path=pictures.out / "tensorboard.png")
+        page.screenshot(path=pictures.out / "tensorboard.png", clip=CHARTS)
     with serve(pictures.comparison) as address, browse(address, browser, 1600, 480) as page:
-        open_tab(page, "HParams")
+        open_tab(page, "hparams")
         page.locator("tf-hparams-table-view .table-cell").first.wait_for()
         _settle(page)
         page.screenshot(path=pictures.out / "hparams.png")

@@ -95,7 +95,7 @@ def test_the_map_is_there_to_look_at(page: Page) -> None:
 
 
 def test_custom_scalars_are_four_charts_with_all_their_curves(page: Page) -> None:
-    open_tab(page, "Custom Scalars")
+    open_tab(page, "custom_scalars")
     charts = page.locator(CHART)
     expect(charts.locator("[itemprop=name]")).to_have_text(
         [
@@ -111,7 +111,7 @@ def test_custom_scalars_are_four_charts_with_all_their_curves(page: Page) -> Non
 
 
 def test_images_are_the_map_and_the_calibration(page: Page) -> None:
-    open_tab(page, "Images")
+    open_tab(page, "images")
     board = page.locator("tf-image-dashboard")
     expect(board.locator(".category-name")).to_have_text(["development", "mp_calibration"])
     board.locator("button.heading", has_text="mp_calibration").click()
@@ -126,7 +126,7 @@ def test_images_are_the_map_and_the_calibration(page: Page) -> None:
 def test_hparams_have_a_row_a_run_and_a_column_a_setting_or_measure(
     page: Page, comparison: Comparison
 ) -> None:
-    open_tab(page, "HParams")
+    open_tab(page, "hparams")
     grid = page.locator("tf-hparams-table-view")
     expect(grid.get_by_text("windows/narrow/seed-000")).to_be_visible()
     head, *rows = grid.locator("vaadin-grid-cell-content").evaluate_all(TABLE)
