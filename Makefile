@@ -19,7 +19,7 @@ train: $(INSTALLED) ## Watch a robot develop: 10,000 decisions in the toy room.
 	$(BIN)/torch-iac train
 
 test: $(INSTALLED) lint types ## Check style, types and import order, and run all tests.
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist loadgroup
 
 lint: $(INSTALLED) ## Check style and the order of imports.
 	$(BIN)/ruff check .

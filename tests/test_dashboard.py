@@ -28,14 +28,14 @@ def test_tensorboard_shows_the_run_so_far(tmp_path: Path) -> None:
     last = table.slice(2 * 900)
     assert [event.step for event in board.Scalars("error/mean")] == list(range(100, 1001, 100))
     assert board.Scalars("error/mean")[-1].value == pytest.approx(last["error"].to_numpy().mean())
-    shares = [board.Scalars(f"zones/{name}")[-1].value for name in ZONES]
+    shares = [board.Scalars(f"development/time_in_{name}")[-1].value for name in ZONES]
     assert shares == pytest.approx(np.bincount(last["zone"].to_numpy()) / 200)
     top = [board.Scalars(f"top_progress/{rank}")[-1].value for rank in range(1, 4)]
     assert top == sorted(top, reverse=True)
-    assert {"progress/mean", "progress/best", "regions/number"} <= set(tags["scalars"])
+    assert {"progress/mean", "progress/best", "development/n_regions"} <= set(tags["scalars"])
     assert "error/expected" not in tags["scalars"]  # nobody expected anything
     assert tags["histograms"] == ["progress/regions"]
-    assert tags["images"] == ["progress/map"]
+    assert tags["images"] == ["development/map"]
     assert "custom_scalars__config__" in tags["tensors"]
 
 
@@ -50,9 +50,9 @@ def test_tensorboard_shows_shadows_and_whether_mp_is_right(tmp_path: Path) -> No
     zones = last["zone"].to_numpy()
     for kind, column in (("expected", "expected_error"), ("actual", "error")):
         means = [last[column].to_numpy()[zones == zone].mean() for zone in range(3)]
-        logged = [board.Scalars(f"calibration/{zone}/{kind}")[-1].value for zone in ZONES]
+        logged = [board.Scalars(f"mp_calibration/{zone}/{kind}")[-1].value for zone in ZONES]
         assert logged == pytest.approx(means)
-    assert board.Tags()["images"] == ["progress/map", "calibration/deciles"]
+    assert board.Tags()["images"] == ["development/map", "mp_calibration/deciles"]
 
 
 def test_the_picture_of_the_calibration_is_of_the_last_decisions_of_the_first_agents(

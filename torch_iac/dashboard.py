@@ -1,5 +1,8 @@
 """What TensorBoard shows of a run while it goes on.
 
+Its first page sorts groups of tags by name and opens the first two only: those are `development`
+and `error`, so that a user sees at once what the robot does and how well it predicts.
+
 Shapes: `A` agents, `T` decisions.
 """
 
@@ -60,19 +63,19 @@ LEAST_ERROR = 1e-6
 """It shows smaller errors at its lower end, since it has logarithmic axes."""
 
 DESCRIPTIONS = {
+    "development/map": "Learning progress of agent 0, from the start (left) to now (right). Each "
+    "row is a present region, neighbours in the tree side by side; before its birth it shows its "
+    "ancestors. Red: errors fall, blue: errors grow.",
+    "development/n_regions": "How many regions an agent's cube is in, mean over the first agents.",
     "progress/mean": "Mean learning progress of the regions that predicted the last decisions, "
     "over all agents.",
     "progress/best": "Learning progress of the best region, mean over the first agents.",
     "progress/regions": "Learning progress of every present region of the first agents.",
-    "progress/map": "Learning progress of agent 0, from the start (left) to now (right). Each row "
-    "is a present region, neighbours in the tree side by side; before its birth it shows its "
-    "ancestors. Red: errors fall, blue: errors grow.",
     "error/mean": "Mean prediction error of the last decisions, over all agents, in scaled units.",
     "error/expected": "What the meta-predictor expected it to be.",
-    "calibration/deciles": "Of the last decisions, those with the lowest tenth of the errors that "
-    "the meta-predictor expected, the next tenth and so on: what it expected on average, and what "
-    "the error was. A calibrated one keeps to the diagonal.",
-    "regions/number": "How many regions an agent's cube is in, mean over the first agents.",
+    "mp_calibration/deciles": "Of the last decisions, those with the lowest tenth of the errors "
+    "that the meta-predictor expected, the next tenth and so on: what it expected on average, and "
+    "what the error was. A calibrated one keeps to the diagonal.",
 }
 
 PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
@@ -98,9 +101,7 @@ class Dashboard:
         self._calibration = _Calibration()
         self._map = _ProgressMap()
         self._n_logs = 0
-        self._undescribed = DESCRIPTIONS | {
-            f"error/{name}": f"Mean prediction error of the shadow {name}." for name in shadows
-        }
+        self._undescribed = DESCRIPTIONS | _descriptions(zone_names, shadows)
         self._folder, self._older = folder, set(folder.glob(EVENTS))
         self._writer = FileWriter(str(folder))
         layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
@@ -137,10 +138,10 @@ class Dashboard:
         if self._n_logs % LOGS_PER_PICTURE == 0:
             histogram = _histogram(regions.progress.numpy())
             values.append(self._value("progress/regions", histo=histogram))
-            values.append(self._value("progress/map", image=self._map.draw(genealogy())))
+            values.append(self._value("development/map", image=self._map.draw(genealogy())))
             if self._calibration.is_known:
                 picture = self._calibration.draw()
-                values.append(self._value("calibration/deciles", image=picture))
+                values.append(self._value("mp_calibration/deciles", image=picture))
         self._writer.add_summary(Summary(value=values), n_decisions)
 
     def flush(self) -> None:
@@ -194,17 +195,36 @@ class Dashboard:
         return Summary.Value(tag=tag, metadata=about, **content)
 
 
+def _descriptions(zone_names: Sequence[str], shadows: Sequence[str]) -> dict[str, str]:
+    """Return what is said of the tags of each zone, rank and shadow."""
+    texts = {f"error/{name}": f"Mean prediction error of the shadow {name}." for name in shadows}
+    for rank in range(1, N_TOP + 1):
+        texts[f"top_progress/{rank}"] = (
+            f"Learning progress of the region of agent 0 that is number {rank} by it now."
+        )
+    for name in zone_names:
+        texts |= {
+            f"development/time_in_{name}": f"Share of the last decisions in {name}, over all "
+            "agents.",
+            f"mp_calibration/{name}/expected": "Mean error that the meta-predictor expected of "
+            f"the last decisions in {name}.",
+            f"mp_calibration/{name}/actual": f"Mean error of the last decisions in {name}.",
+        }
+    return texts
+
+
 def _means(tally: Tally, tags: Mapping[str, str], zone_names: Sequence[str]) -> dict[str, float]:
     """Return the means over agents, as far as there are any, and the share of each zone."""
     zones = tally.total(0)
     whole = zones.total(1)
     means = {tag: whole.means(column).item() for column, tag in tags.items()}
     shares = (zones.counts / whole.counts)[0].tolist()
-    means |= {f"zones/{name}": share for name, share in zip(zone_names, shares, strict=False)}
+    by_zone = zip(zone_names, shares, strict=False)
+    means |= {f"development/time_in_{name}": share for name, share in by_zone}
     if np.isfinite(means["error/expected"]):
         for column, kind in (("expected_error", "expected"), ("error", "actual")):
             by_zone = zip(zone_names, zones.means(column)[0].tolist(), strict=False)
-            means |= {f"calibration/{name}/{kind}": mean for name, mean in by_zone}
+            means |= {f"mp_calibration/{name}/{kind}": mean for name, mean in by_zone}
     return {tag: mean for tag, mean in means.items() if np.isfinite(mean)}
 
 
@@ -250,7 +270,7 @@ def _over_agents(regions: RegionSummary, n_agents: int) -> dict[str, float]:
     np.maximum.at(best, regions.agent.numpy(), regions.progress.numpy())
     return {
         "progress/best": float(best.mean()),
-        "regions/number": len(regions.agent) / n_agents,
+        "development/n_regions": len(regions.agent) / n_agents,
     }
 
 
@@ -405,9 +425,9 @@ def _histogram(values: NDArray[np.float64]) -> HistogramProto:
 def _layout(zone_names: Sequence[str]) -> dict[str, dict[str, tuple[str, list[str]]]]:
     """Return the charts of TensorBoard's page of custom scalars; tags are regular expressions."""
     charts = {
-        "Share of time in each zone": [f"zones/{name}" for name in zone_names],
-        "Learning progress of the best regions": [f"top_progress/{r}" for r in range(1, N_TOP + 1)],
+        "Share of time in each zone": ["development/time_in_.*"] if zone_names else [],
+        "Learning progress of the best regions": ["top_progress/.*"],
         "Prediction errors: the experts, what MP expected of them, their shadows": ["error/.*"],
-        "Number of regions": ["regions/number"],
+        "Number of regions": ["development/n_regions"],
     }
     return {"Development": {title: ("Multiline", tags) for title, tags in charts.items() if tags}}

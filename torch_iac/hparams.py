@@ -98,7 +98,7 @@ def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
         values = [of.get(name) for of in settings]
         if any(value != values[0] for value in values):
             numbers = [float(value) for value in values if isinstance(value, (int, float))]
-            texts = ["" if value is None else str(value) for value in values]
+            texts = ["none" if value is None else str(value) for value in values]
             kept[name] = numbers if len(numbers) == len(values) else texts
     return [{name: of[place] for name, of in kept.items()} for place in range(len(runs))]
 
