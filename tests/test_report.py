@@ -34,7 +34,8 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
         if job.name == "narrow/seeds-003-004":
             job.fail("no luck")
         else:
-            iac = {"window": 75 if job.variant == "narrow" else 150, "epsilon": 0.1}
+            own = {"window": 75, "source": "region"} if job.variant == "narrow" else {"window": 150}
+            iac = {**own, "epsilon": 0.1}
             config = {"command": list(job.words), "iac": iac}
             write_run(job.folder, len(job.seeds), config=config, shadows={"mlp": 2.0})
     save_report(comparison)
@@ -115,7 +116,8 @@ def test_tensorboard_finds_settings_and_measures(comparison: Comparison) -> None
     content = EventAccumulator(str(whole)).Reload().SummaryMetadata(EXPERIMENT_TAG)
     experiment = parse_experiment_plugin_data(content.plugin_data.content)
     names = [info.name for info in experiment.hparam_infos]
-    assert names == ["variant", "seed", "window"]
+    assert names == ["variant", "seed", "window", "source"]
+    assert list(experiment.hparam_infos[3].domain_discrete) == ["none", "region"]
     tags = [info.name.tag for info in experiment.metric_infos]
     assert "measures/error" in tags
     run = comparison.folder / "narrow" / "seeds-000-002"
