@@ -117,6 +117,17 @@ class IAC(Stateful):
         ValueError: There are no seeds, the device is not there, or a curriculum is about an action
             that the world has not.
 
+    Example:
+        A robot that pushes and senses how far it got:
+
+        >>> from torch_iac import Dimension
+        >>> push, place = Dimension("push", -1.0, 1.0), Dimension("place", 0.0, 1.0)
+        >>> agent = IAC(SensorimotorSpace((push,), (place,), outcomes=(place,)), seeds=[0])
+        >>> actions = agent.act(np.array([[0.5]]))
+        >>> step = agent.observe(np.array([[0.75]]))
+        >>> step.predictions, step.errors
+        (tensor([[0.5000]]), tensor([0.2500], dtype=torch.float64))
+
     Source: Oudeyer and Kaplan (2004).
     """
 

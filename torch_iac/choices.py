@@ -25,6 +25,10 @@ class Choice(Protocol):
 class Greedy:
     """The candidate that is worth most; ties at random.
 
+    Example:
+        >>> Greedy().pick(torch.tensor([[0.1, 0.4, 0.2]]), torch.rand(1))
+        tensor([1])
+
     Source: Oudeyer and Kaplan (2004), section 2.1.
     """
 

@@ -117,6 +117,10 @@ def plateau(errors: NDArray[np.float64], n_tests: int, variance: float) -> NDArr
     Returns:
         Shape `(A,)`, counted from 0.
 
+    Example:
+        >>> plateau(np.array([[8.0], [2.0], [1.0], [1.0], [1.0]]), n_tests=3, variance=0.01)
+        array([2.])
+
     Source: Oudeyer, Kaplan and Hafner (2007): 500 points with a variance below 0.0001.
     """
     if len(errors) < n_tests:

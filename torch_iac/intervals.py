@@ -57,6 +57,10 @@ def probability_larger(one: Values, other: Values) -> Estimate:
 
     Equal values count half. The bootstrap draws pairs, since robots are paired; both of shape
     `(n,)`.
+
+    Example:
+        >>> probability_larger(np.array([2.0, 3.0, 5.0]), np.array([1.0, 2.0, 4.0])).value
+        0.7222222222222222
     """
     return _estimate(_share_larger, one, other)
 

@@ -31,6 +31,15 @@ class ErrorHistory(Stateful):
     Attributes:
         progress: Shape `(L,)`, float64, the last learning progress of each row.
 
+    Example:
+        Errors that fall by a half from two decisions to the next two:
+
+        >>> history = ErrorHistory(1, window=2, delay=2, device=torch.device("cpu"))
+        >>> for error in (0.8, 0.8, 0.4, 0.4):
+        ...     history.add(torch.tensor([0]), torch.tensor([error], dtype=torch.float64))
+        >>> history.progress
+        tensor([0.4000], dtype=torch.float64)
+
     Source: Oudeyer and Kaplan (2004), section 2.1.
     """
 

@@ -326,6 +326,14 @@ def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:
     Raises:
         ValueError: `balance` is outside [0, 0.5].
 
+    Example:
+        The outcome jumps between the second example and the third:
+
+        >>> situations = torch.tensor([[[0.0], [0.25], [0.75], [1.0]]])
+        >>> outcomes = torch.tensor([[[0.1], [0.1], [0.9], [0.9]]])
+        >>> best_cut(situations, outcomes, balance=0.15).value
+        tensor([0.5000])
+
     Source: Oudeyer and Kaplan (2004), section 2.1, criterion C2.
     """
     if not 0 <= balance <= 0.5:
