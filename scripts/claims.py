@@ -9,7 +9,7 @@ Shapes: `A` robots, `T` decisions, `P` tests.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,13 @@ def ratio(one: Values, other: Values) -> Estimate:
     return Estimate(value, low, high, found.n)
 
 
-def each(runs: Sequence[Run], measure: Callable[[Run], Sequence[float] | Values]) -> Values:
+def in_words(found: Estimate, unit: str) -> str:
+    """Return a number and its interval."""
+    value, low, high = (format(of, unit) for of in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def each(runs: Sequence[Run], measure: Callable[[Run], Sequence[float] | NDArray[Any]]) -> Values:
     """Return a measure of each robot of some runs, shape `(A,)`."""
     return np.concatenate([np.asarray(measure(run), np.float64) for run in runs])
 
@@ -234,9 +240,8 @@ def _gaps(run: Run, asked: Transitions) -> list[float]:
     bounds = np.array([(d.low, d.high) for d in run.space.situation])
     low, span = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
     points = (np.concatenate([asked.actions, asked.sensors], axis=1) - low) / span
-    columns = [f"action/{d.name}" for d in run.space.actions]
-    columns += [f"sensor/{d.name}" for d in run.space.sensors]
-    lived = (np.stack([run.column(name) for name in columns], axis=-1) - low) / span  # (T, A, D)
+    situations = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
+    lived = (situations - low) / span  # (T, A, D)
     zones = run.column("zone")
     return [
         float(cdist(points, lived[zones[:, agent] == F2, agent]).min(axis=1).mean())

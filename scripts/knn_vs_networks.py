@@ -19,14 +19,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scripts.claims import F1, catching_up, each, focus, last_error, time_in
-from scripts.reproduce_paper import SETS, VARIANTS, Variant, error_axis, life_of
-from scripts.study import COSTS, F2, live_all, tests_of
+from scripts.reproduce_paper import SETS, VARIANTS, Variant, draw_curves, life_of, when_reached
+from scripts.study import COSTS, F2, live_all
 from torch_iac import IACConfig, MLPExperts
 from torch_iac.charts import COLOURS, save
-from torch_iac.figures import STYLE, time_axis
+from torch_iac.figures import STYLE
 from torch_iac.files import parse_json
-from torch_iac.intervals import band, difference, mean
-from torch_iac.measures import SETTLING
+from torch_iac.intervals import difference, mean
+from torch_iac.measures import SETTLING, count_regions
 from torch_iac.runs import Run
 
 KINDS = {
@@ -56,10 +56,7 @@ MEASURES: dict[str, tuple[Callable[[Sequence[Run]], Values], str]] = {
     "focus on f2 (decision)": (lambda runs: focus(runs, "f2"), ",.0f"),
     "time in f1 after 1,000": (lambda runs: time_in(runs, F1, SETTLING), ".1%"),
     "time in f2 after 1,000": (lambda runs: time_in(runs, F2, SETTLING), ".1%"),
-    "regions at the end": (
-        lambda runs: each(runs, lambda run: [_n_leaves(run, a) for a in range(run.n_agents)]),
-        ".1f",
-    ),
+    "regions at the end": (lambda runs: each(runs, count_regions), ".1f"),
 }
 
 
@@ -106,17 +103,11 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
         cells += [_cell(values[name], values[REFERENCE], unit) for name in others]
         print(f"| {title} | {' | '.join(cells)} |")
     for which, title in SETS.items():
-        cells = ["", *(_reached(runs[name], runs[REFERENCE], which) for name in others)]
+        reached = [catching_up(runs[name], runs[REFERENCE], which) for name in others]
+        cells = ["", *map(when_reached, reached)]
         blanks = [""] * len(others)
         title = f"as good as nearest neighbours at last, {title[0].lower()}{title[1:]} (decision)"
         print(f"| {title} | {' | '.join([*cells, *blanks])} |")
-
-
-def _reached(runs: Sequence[Run], others: Sequence[Run], which: str) -> str:
-    """Return the median of when robots were as good, those that never were being the last."""
-    steps = catching_up(runs, others, which)
-    median = np.median(np.nan_to_num(steps, nan=np.inf))
-    return f"{median:,.0f} ({np.isfinite(steps).sum()} of {len(steps)})"
 
 
 def _cell(values: Values, less: Values | None, unit: str) -> str:
@@ -141,22 +132,15 @@ def print_costs(runs: Mapping[str, Sequence[Run]]) -> None:
         )
 
 
-def _n_leaves(run: Run, agent: int) -> int:
-    return int((run.family(agent)["split_step"].to_numpy() < 0).sum())
-
-
 def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
     """Return how the errors of each kind go on both test sets."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 2.7), layout="constrained")
         panels = figure.subplots(1, len(SETS), sharey=True)
+        of_colours = zip(COLOURS, runs.items(), strict=False)
+        curves = {LABELS[name]: (colour, of) for colour, (name, of) in of_colours}
         for panel, (which, title) in zip(panels, SETS.items(), strict=True):
-            for colour, (name, of) in zip(COLOURS, runs.items(), strict=False):
-                steps, errors = tests_of(of, which, "absolute")
-                panel.plot(steps, errors.mean(axis=1), color=colour, label=LABELS[name])
-                panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
-            time_axis(panel, int(steps[-1]), n_ticks=4)
-            error_axis(panel)
+            draw_curves(panel, curves, which)
             panel.set_title(title, fontsize=8)
         panels[0].set_ylabel("Mean absolute error in f2 (scaled)")
         handles, labels = panels[0].get_legend_handles_labels()

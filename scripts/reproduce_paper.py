@@ -29,6 +29,7 @@ from scripts.claims import (
     Group,
     catching_up,
     gaps,
+    in_words,
     last_error,
     ratio,
     time_in,
@@ -36,7 +37,7 @@ from scripts.claims import (
 from scripts.study import F2, KINEMATIC, WORLD, Life, live_all, sets_aside, tests_of
 from torch_iac.charts import COLOURS, save
 from torch_iac.figures import STYLE, time_axis
-from torch_iac.intervals import Estimate, band, mean
+from torch_iac.intervals import band, mean
 from torch_iac.runs import Run
 
 TEST_EVERY = 100  # decisions, as in 2007
@@ -170,7 +171,7 @@ def _cell(claim: Claim, robots: Group) -> str:
     if any(name not in robots for name in claim.needs):
         return ""
     found = claim.number(robots)
-    return f"**{claim.verdict(found)}** {_interval(found, claim.unit)}"
+    return f"**{claim.verdict(found)}** {in_words(found, claim.unit)}"
 
 
 def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
@@ -185,26 +186,21 @@ def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
     print("|---" * len(titles) + "|")
     for name, mine in runs.items():
         others = runs[f"{name.partition('-')[0]}-random"]
-        cells = [_interval(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        cells = [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
         sets = sets_aside(KINEMATIC, tuple(VARIANTS[name].options.items()))
-        cells.append(_interval(mean(gaps(mine, sets)), ".3f"))
+        cells.append(in_words(mean(gaps(mine, sets)), ".3f"))
         for which in SETS:
             errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
-            cells += [_interval(mean(errors), ".4f"), _interval(ratio(errors, theirs), ".2f")]
-            cells.append(_reached(catching_up(mine, others, which)))
+            cells += [in_words(mean(errors), ".4f"), in_words(ratio(errors, theirs), ".2f")]
+            cells.append(when_reached(catching_up(mine, others, which)))
         print(f"| {name} | {' | '.join(cells)} |")
 
 
-def _reached(steps: np.ndarray) -> str:
+def when_reached(steps: np.ndarray) -> str:
     """Return the median of when robots came somewhere, those that never did being the last."""
     median = np.median(np.nan_to_num(steps, nan=np.inf))
     count = f"{np.isfinite(steps).sum()} of {len(steps)}"
     return f"{median:,.0f} ({count})" if np.isfinite(median) else f"never ({count} did)"
-
-
-def _interval(found: Estimate, unit: str) -> str:
-    value, low, high = (format(of, unit) for of in (found.value, found.low, found.high))
-    return f"{value} ({low} to {high})"
 
 
 def draw_tests(groups: Mapping[str, Group]) -> Figure:
@@ -214,8 +210,13 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
         panels = figure.subplots(len(groups), len(SETS), sharex=True, sharey=True)
         kinds = {"knn": "nearest neighbours", "mlp": "networks"}
         for row, (kind, robots) in zip(panels, groups.items(), strict=True):
+            curves = {
+                label: (colour, robots[name])
+                for colour, (name, label) in zip(COLOURS, LABELS.items(), strict=False)
+                if name in robots
+            }
             for panel, (which, title) in zip(row, SETS.items(), strict=True):
-                _draw_curves(panel, robots, which)
+                draw_curves(panel, curves, which)
                 panel.set_title(f"{title}, {kinds[kind]}", fontsize=8)
             row[0].set_ylabel("Mean absolute error in f2 (scaled)")
         for panel in panels[:-1].flat:
@@ -225,18 +226,13 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
     return figure
 
 
-def _draw_curves(panel: Axes, robots: Group, which: str) -> None:
-    for place, (name, label) in enumerate(LABELS.items()):
-        if name in robots:
-            steps, errors = tests_of(robots[name], which, "absolute")
-            panel.plot(steps, errors.mean(axis=1), color=COLOURS[place], label=label, linewidth=1.2)
-            panel.fill_between(steps, *band(errors), color=COLOURS[place], alpha=0.2, linewidth=0)
+def draw_curves(panel: Axes, curves: Mapping[str, tuple[str, Sequence[Run]]], which: str) -> None:
+    """Draw how errors go on a test set: under each label, in a colour, of some runs."""
+    for label, (colour, runs) in curves.items():
+        steps, errors = tests_of(runs, which, "absolute")
+        panel.plot(steps, errors.mean(axis=1), color=colour, label=label, linewidth=1.2)
+        panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
     time_axis(panel, int(steps[-1]), n_ticks=4)
-    error_axis(panel)
-
-
-def error_axis(panel: Axes) -> None:
-    """Let a panel's vertical axis be errors, in plain numbers."""
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
     panel.yaxis.set_minor_locator(NullLocator())

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from tqdm import tqdm
 
-from scripts.claims import F1, in_order, share, time_in
+from scripts.claims import F1, in_order, in_words, share, time_in
 from scripts.study import F2, KINEMATIC, Life, live_together
 from torch_iac import IACConfig, KNNExperts
 from torch_iac.charts import COLOURS, save
@@ -116,7 +116,7 @@ def main(study: Study) -> None:
     }
     print(f"| parameter | value | {' | '.join(MEASURES)} |\n|---|---|" + "---|" * len(MEASURES))
     for (name, value), measures in found.items():
-        cells = [f"{of.value:.1%} ({of.low:.1%} to {of.high:.1%})" for of in measures.values()]
+        cells = [in_words(of, ".1%") for of in measures.values()]
         is_default = value == PARAMETERS[name].default
         mark = f"**{value:g}**" if is_default else f"{value:g}"
         print(f"| {PARAMETERS[name].title} | {mark} | {' | '.join(cells)} |")

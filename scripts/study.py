@@ -22,7 +22,6 @@ from torch_iac.files import dump_json, write_table
 from torch_iac.generalisation import Transitions, collect, errors_on
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
-from torch_iac.space import SensorimotorSpace
 
 WORLD = "torch_iac_envs/ToyRoom-v0"
 KINEMATIC = "torch_iac_envs/ToyRoomKinematic-v0"
@@ -204,7 +203,7 @@ def _tested(agent: iac.IAC, sets: Mapping[str, Transitions]) -> list[dict[str, A
 def sets_aside(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
     """Return what is set aside in a world: transitions in f2, of two kinds."""
     env = gym.make_vec(world, num_envs=1, **dict(options))
-    space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
+    space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
     sets = {
         name: collect(env, space, N_TESTED, seed=TEST_SEED, zone=F2, anew=anew)
         for name, anew in TEST_SETS.items()

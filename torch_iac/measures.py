@@ -130,7 +130,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
         run: The run.
         seconds: How long it took, by the clock on the wall.
     """
-    n_decisions, n_regions = run.n_decisions, _n_regions(run)
+    n_decisions, n_regions = run.n_decisions, count_regions(run)
     by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)
     errors = {name: _late_errors(run, column) for name, column in run.error_columns.items()}
     return {
@@ -226,7 +226,7 @@ def _describe_expectation(of: Expectation) -> dict[str, float | None]:
     }
 
 
-def _n_regions(run: Run) -> NDArray[np.int64]:
+def count_regions(run: Run) -> NDArray[np.int64]:
     """Return how many regions each agent's cube is in at last, shape `(A,)`."""
     is_leaf = run.regions["split_step"].to_numpy() < 0
     return np.bincount(run.regions["agent"].to_numpy()[is_leaf], minlength=run.n_agents)

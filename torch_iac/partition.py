@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from torch_iac.runs import Run, ancestors
+from torch_iac.runs import Run, ancestors, children_of
 from torch_iac.space import Dimension, SensorimotorSpace
 
 Values = NDArray[np.float64]
@@ -111,8 +111,7 @@ def situation_at(run: Run, step: int, agent: int = 0) -> dict[str, float]:
     """
     if not 0 <= step < run.n_decisions:
         raise ValueError(f"step must lie in [0, {run.n_decisions}), got {step}")
-    columns = [f"action/{d.name}" for d in run.space.actions]
-    columns += [f"sensor/{d.name}" for d in run.space.sensors]
+    columns = run.situation_columns
     row = run.table(columns, agent).slice(step, 1).to_pylist()[0]
     return {
         dimension.name: min(max(row[column], dimension.low), dimension.high)
@@ -130,16 +129,15 @@ def _boxes(family: Sequence[Mapping[str, Any]], space: SensorimotorSpace) -> tup
     """Return the low and high sides of every region, `(R, D)`; parents come before children."""
     lows = np.tile([d.low for d in space.situation], (len(family), 1)).astype(np.float64)
     highs = np.tile([d.high for d in space.situation], (len(family), 1)).astype(np.float64)
-    have_child = set[int]()
+    children = children_of(family)
     for row in family:
         region, parent = row["region"], row["parent"]
         if parent < 0:
             continue
         lows[region], highs[region] = lows[parent], highs[parent]
         column = space.situation_names.index(family[parent]["cut_dimension"])
-        side = lows if parent in have_child else highs  # the child below the cut comes first
+        side = highs if region == children[parent][0] else lows
         side[region, column] = family[parent]["cut_value"]
-        have_child.add(parent)
     return lows, highs
 
 

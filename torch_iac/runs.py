@@ -109,6 +109,13 @@ class Run:
         return SensorimotorSpace.from_json(self.config["space"])
 
     @property
+    def situation_columns(self) -> tuple[str, ...]:
+        """The columns of the steps that make a situation, in the order of `space.situation`."""
+        actions = (f"action/{dimension.name}" for dimension in self.space.actions)
+        sensors = (f"sensor/{dimension.name}" for dimension in self.space.sensors)
+        return (*actions, *sensors)
+
+    @property
     def seeds(self) -> tuple[int, ...]:
         """The seed of each agent."""
         return tuple(self.config["seeds"])
@@ -327,22 +334,28 @@ def ancestors(run: Run, region: int, agent: int = 0) -> tuple[int, ...]:
     return tuple(line)
 
 
+def children_of(family: Sequence[Mapping[str, Any]]) -> dict[int, list[int]]:
+    """Return the children of each region of an agent: the one below its cut, the one above."""
+    children: dict[int, list[int]] = {}
+    for row in family:  # the child below the cut comes first
+        children.setdefault(row["parent"], []).append(row["region"])
+    return children
+
+
 def region_bounds(run: Run, region: int, agent: int = 0) -> dict[str, tuple[float, float]]:
     """Return where a region lies: its bounds, in raw units, in each dimension that was cut for it.
 
     Dimensions are in the order of the first cut along each, from the root on.
     """
-    family = run.family(agent)
-    parents = family["parent"].to_numpy()
-    dimensions, values = (family[name].to_pylist() for name in ("cut_dimension", "cut_value"))
+    family = run.family(agent).to_pylist()
+    children = children_of(family)
     whole = {dimension.name: (dimension.low, dimension.high) for dimension in run.space.situation}
     bounds: dict[str, tuple[float, float]] = {}
     line = [region, *ancestors(run, region, agent)]
     for parent, child in reversed(list(zip(line[1:], line, strict=False))):
-        name, value = dimensions[parent], values[parent]
+        name, value = family[parent]["cut_dimension"], family[parent]["cut_value"]
         low, high = bounds.get(name, whole[name])
-        is_left = child == np.argmax(parents == parent)  # the left child is the first
-        bounds[name] = (low, value) if is_left else (value, high)
+        bounds[name] = (low, value) if child == children[parent][0] else (value, high)
     return bounds
 
 
@@ -374,11 +387,9 @@ def final_leaves(run: Run) -> NDArray[np.int64]:
 
     That is the recorded `region`, or one that came of it by later splits; of recorded agents.
     """
-    kinds = {"action": run.space.actions, "sensor": run.space.sensors}
     situations = {
-        dimension.name: run.column(f"{kind}/{dimension.name}")
-        for kind, dimensions in kinds.items()
-        for dimension in dimensions
+        name: run.column(column)
+        for name, column in zip(run.space.situation_names, run.situation_columns, strict=True)
     }
     leaves = np.zeros((run.n_decisions, run.n_recorded), np.int64)
     for agent in range(run.n_recorded):
@@ -393,9 +404,7 @@ def _route(
     situations: Mapping[str, NDArray[np.float32]],
 ) -> None:
     """Move situations from the root to their leaves, in place; parents come before children."""
-    children: dict[int, list[int]] = {}
-    for row in family:
-        children.setdefault(row["parent"], []).append(row["region"])
+    children = children_of(family)
     for row in family:
         if row["split_step"] >= 0:
             here = np.flatnonzero(regions == row["region"])
