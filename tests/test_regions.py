@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from torch_iac import IAC, Dimension, IACConfig, SensorimotorSpace
-from torch_iac.regions import NONE, Cut, RegionTree, best_cut
+from torch_iac.regions import NONE, SIFTED, Cut, RegionTree, best_cut
 from torch_iac.space import UNIT_STEP
 
 CPU = torch.device("cpu")
@@ -117,10 +117,13 @@ def grow(n_agents: int, n_splits: int, situation_dim: int, seed: int) -> RegionT
     return tree
 
 
+@pytest.mark.parametrize("n_situations", [200, SIFTED])
 @pytest.mark.parametrize("seed", range(5))
-def test_every_situation_is_in_the_box_of_its_leaf_and_in_no_other(seed: int) -> None:
+def test_every_situation_is_in_the_box_of_its_leaf_and_in_no_other(
+    seed: int, n_situations: int
+) -> None:
     tree = grow(n_agents=3, n_splits=80, situation_dim=2, seed=seed)
-    situations = torch.rand(3, 200, 2, generator=torch.Generator().manual_seed(seed))
+    situations = torch.rand(3, n_situations, 2, generator=torch.Generator().manual_seed(seed))
     routed = tree.route(situations)
     leaves = tree.leaves()
     lows, highs = (bounds[leaves] for bounds in tree.boxes(2))

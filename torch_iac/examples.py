@@ -73,14 +73,13 @@ class Examples(Stateful):
         self.situations = reserve(self.situations, split.n_rows)
         self.outcomes = reserve(self.outcomes, split.n_rows)
         self.counts = reserve(self.counts, split.n_rows)
-        situations, outcomes = self.situations[split.rows], self.outcomes[split.rows]
-        for target, goes in ((split.rows, ~goes_right), (split.new_rows, goes_right)):
-            counts = goes.sum(-1)
-            order = goes.to(torch.int8).sort(dim=-1, descending=True, stable=True).indices
-            absent = torch.arange(goes.shape[-1], device=goes.device) >= counts[:, None]
-            self.counts[target] = counts
-            self.situations[target] = _arrange(situations, order, absent, math.inf)
-            self.outcomes[target] = _arrange(outcomes, order, absent, NO_EXAMPLE_OUTCOME)
+        parents, children = split.rows.repeat(2), torch.cat([split.rows, split.new_rows])
+        goes = torch.cat([~goes_right, goes_right])  # (2F, N), to the left child, to the right one
+        order = goes.to(torch.int8).sort(dim=-1, descending=True, stable=True).indices
+        self.counts[children] = counts = goes.sum(-1)
+        absent = torch.arange(goes.shape[-1], device=goes.device) >= counts[:, None]
+        for column, fill in ((self.situations, math.inf), (self.outcomes, NO_EXAMPLE_OUTCOME)):
+            column[children] = _arrange(column[parents], order, absent, fill)
 
     def forget_oldest(self, rows: Tensor) -> None:
         """Drop the oldest example of full rows, shape `(F,)`."""

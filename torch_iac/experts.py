@@ -103,7 +103,7 @@ class KNNExperts(Stateful):
         """Return the predicted outcomes, shape `(A, K)`, in scaled units."""
         distances = _squared_distances(examples, rows, situations)  # (A, N)
         if self.k == 1:
-            return examples.outcomes[rows, :, distances.argmin(dim=1)]
+            return examples.outcomes[rows, :, _first_least(distances)]
         outcomes = examples.outcomes.index_select(0, rows)  # (A, K, N)
         nearest = distances.sort(dim=1, stable=True).indices[:, : self.k]
         is_example = distances.gather(1, nearest).isfinite()[:, None]
@@ -127,6 +127,13 @@ def _squared_distances(examples: Examples, rows: Tensor, situations: Tensor) -> 
         return torch.cat([_squared_distances(examples, *part) for part in parts])
     offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
     return offsets.square_().sum(dim=1)
+
+
+def _first_least(distances: Tensor) -> Tensor:
+    """Return where the least of each row is, the first of equal ones, shape `(A,)`."""
+    if distances.device.type == "cpu":  # where numpy is six times as fast
+        return torch.from_numpy(distances.numpy().argmin(axis=1))
+    return distances.argmin(dim=1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,7 +50,7 @@ class RandomStream:
     def _draw(self, start: int) -> Tensor:
         steps = torch.arange(start, start + self._block_size, device=self._key.device)
         decision_keys = _mix(self._key + (steps[:, None] + 1) * _GOLDEN)  # (B, A)
-        bits = _mix(decision_keys[..., None] + self._lanes)  # (B, A, n)
+        bits = _mix_high(decision_keys[..., None] + self._lanes)  # (B, A, n)
         return _logical_shift(bits, 64 - _UNIT_BITS).float().mul_(2.0**-_UNIT_BITS)
 
 
@@ -64,9 +64,14 @@ def block_size(n_agents: int, n_numbers: int) -> int:
 
 def _mix(z: Tensor) -> Tensor:
     """Mix 64-bit integers in place: SplitMix64's finaliser (Steele, Lea and Flood, 2014)."""
-    z.bitwise_xor_(_logical_shift(z, 30)).mul_(_MIX_1)
-    z.bitwise_xor_(_logical_shift(z, 27)).mul_(_MIX_2)
+    z = _mix_high(z)
     return z.bitwise_xor_(_logical_shift(z, 31))
+
+
+def _mix_high(z: Tensor) -> Tensor:
+    """Mix all but the last step of `_mix`, which leaves the highest 31 bits as they are."""
+    z.bitwise_xor_(_logical_shift(z, 30)).mul_(_MIX_1)
+    return z.bitwise_xor_(_logical_shift(z, 27)).mul_(_MIX_2)
 
 
 def _logical_shift(z: Tensor, bits: int) -> Tensor:

@@ -25,6 +25,10 @@ CUTS = 7
 BYTES = 8
 """How many comparisons a bundle makes: as many as a 64-bit word has bytes; the last is idle."""
 
+SIFTED = 4096
+"""So many situations, over all agents, are worth asking on a processor which are in a leaf already
+and need go no further."""
+
 TIE = 1e-12
 """Two cuts whose gains differ by less, relatively, are tied: rounding must not decide."""
 
@@ -170,11 +174,20 @@ class RegionTree(Stateful):
         n_agents, n_candidates, situation_dim = situations.shape
         points = situations.reshape(-1, situation_dim)
         nodes = self.roots.repeat_interleave(n_candidates)
-        for _ in range(self._n_bundle_levels):
-            coordinates = points.gather(1, self._dimensions.index_select(0, nodes))
-            above = coordinates > self._values.index_select(0, nodes)
-            nodes = self._exits.take(self._first_exit.take(nodes).add_(_as_number(above)))
+        sifts = len(points) >= SIFTED and points.device.type == "cpu"
+        for level in range(self._n_bundle_levels):
+            if level and sifts:
+                inner = (self.split_step.take(nodes) != NONE).nonzero()[:, 0]
+                nodes[inner] = self._leave(nodes.take(inner), points.index_select(0, inner))
+            else:
+                nodes = self._leave(nodes, points)
         return nodes.view(n_agents, n_candidates)
+
+    def _leave(self, nodes: Tensor, points: Tensor) -> Tensor:
+        """Return the nodes at which points `(n, D)` leave the bundles of nodes `(n,)`."""
+        coordinates = points.gather(1, self._dimensions.index_select(0, nodes))
+        above = coordinates > self._values.index_select(0, nodes)
+        return self._exits.take(self._first_exit.take(nodes).add_(_as_number(above)))
 
     def split(self, nodes: Tensor, cut: Cut, counts: Tensor, step: int) -> Split:
         """Give each of some leaves two children.
@@ -188,8 +201,8 @@ class RegionTree(Stateful):
             step: The decision that makes them split.
         """
         n_split = len(nodes)
-        left = self.n_nodes + 2 * torch.arange(n_split, device=nodes.device)
-        new_rows = self.n_rows + torch.arange(n_split, device=nodes.device)
+        numbers = torch.arange(n_split, device=nodes.device)
+        left, new_rows = self.n_nodes + 2 * numbers, self.n_rows + numbers
         self.n_nodes += 2 * n_split
         self.n_rows += n_split
         self._reserve()
@@ -197,24 +210,28 @@ class RegionTree(Stateful):
         self.split_count[nodes] = counts
         self.cut_dimension[nodes] = cut.dimension
         self.cut_value[nodes] = cut.value
-        rows = self.rows[nodes]
-        self._bear(nodes, left, rows, step)
-        self._bear(nodes, left + 1, new_rows, step)
-        self._tie(nodes, left, cut)
-        return Split(rows, new_rows, self.agent[nodes], self.region[left], self.n_rows)
+        rows, agents = self.rows[nodes], self.agent[nodes]
+        left_regions = self._n_regions[agents]
+        self._n_regions[agents] += 2
 
-    def _bear(self, parents: Tensor, children: Tensor, rows: Tensor, step: int) -> None:
-        agents = self.agent[parents]
-        self.agent[children] = agents
-        self.rows[children] = rows
-        self.region[children] = self._n_regions[agents]
+        parents, children = nodes.repeat(2), torch.cat([left, left + 1])
+        self.agent[children] = agents.repeat(2)
+        self.rows[children] = torch.cat([rows, new_rows])
+        self.region[children] = torch.cat([left_regions, left_regions + 1])
         self.parent[children] = parents
         self.depth[children] = self.depth[parents] + 1
         self.born_step[children] = step
-        self._n_regions[agents] += 1
+        self._tie(nodes, children, cut)
+        return Split(rows, new_rows, agents, left_regions, self.n_rows)
 
-    def _tie(self, nodes: Tensor, left: Tensor, cut: Cut) -> None:
-        """Add the cuts of nodes `(F,)` to the bundles that led there, or to new ones."""
+    def _tie(self, nodes: Tensor, children: Tensor, cut: Cut) -> None:
+        """Add the cuts of nodes `(F,)` to the bundles that led there, or to new ones.
+
+        Args:
+            nodes: Shape `(F,)`.
+            children: Shape `(2F,)`, the left ones, then the right ones.
+            cut: The cuts.
+        """
         self._open_bundles(nodes[self._n_cuts[self._bundle[nodes]] == CUTS])
         bundles = self._bundle[nodes]
         numbers = self._n_cuts[bundles]
@@ -225,11 +242,10 @@ class RegionTree(Stateful):
         ways = torch.arange(2**CUTS, device=nodes.device)
         places = self._first_exit[bundles, None] + ways  # (F, 128)
         exits = self._exits[places]
-        is_above = ways >> numbers[:, None] & 1
-        self._exits[places] = torch.where(exits == nodes[:, None], left[:, None] + is_above, exits)
-        for children in (left, left + 1):
-            self._bundle[children] = bundles
-            self._first_exit[children] = self._new_exits(children, 1)
+        new_exits = children[: len(nodes), None] + (ways >> numbers[:, None] & 1)
+        self._exits[places] = torch.where(exits == nodes[:, None], new_exits, exits)
+        self._bundle[children] = bundles.repeat(2)
+        self._first_exit[children] = self._new_exits(children, 1)
 
     def _open_bundles(self, nodes: Tensor) -> None:
         self._bundle_level[nodes] = self._bundle_level[self._bundle[nodes]] + 1
@@ -367,8 +383,8 @@ def _sorted(values: Tensor) -> tuple[Tensor, Tensor]:
 def _gains(order: Tensor, outcomes: Tensor) -> Tensor:
     """Return by how much each cut lowers the sum of squared deviations, shape `(F, D, N-1)`.
 
-    With `S` the sum of a side's outcomes and `n` its size, the decrease is
-    (n_right S_left - n_left S_right)^2 / (n n_left n_right), which needs no sum of squares. In
+    With `S` a sum of outcomes and `n` how many they are, the decrease is
+    (n S_left - n_left S)^2 / (n n_left n_right), which needs no sum of squares. In
     steps of `UNIT_STEP` the outcomes are whole numbers, so the bracket is exact and cuts that
     part the examples alike have bit for bit the same gain. The constant 1 / n is left out.
 
@@ -379,11 +395,9 @@ def _gains(order: Tensor, outcomes: Tensor) -> Tensor:
     n_examples = outcomes.shape[2]
     whole = (outcomes.double() / UNIT_STEP).round()
     n_left = torch.arange(1, n_examples, device=outcomes.device, dtype=torch.float64)
-    n_right = n_examples - n_left
     gains = torch.zeros((), dtype=torch.float64, device=outcomes.device)
     for k in range(outcomes.shape[1]):
         column = whole[:, k, None].expand(order.shape)
         sums = column.gather(2, order).cumsum(dim=2)  # (F, D, N)
-        left, total = sums[..., :-1], sums[..., -1:]
-        gains = gains + (n_right * left - n_left * (total - left)).square()
-    return gains / (n_left * n_right)
+        gains = gains + (n_examples * sums[..., :-1] - n_left * sums[..., -1:]).square_()
+    return gains.div_(n_left * (n_examples - n_left))
