@@ -44,6 +44,7 @@ TEST_EVERY = 100  # decisions, as in 2007
 
 NETWORKS = iac.MLPExperts()
 MP = iac.MetaPredictor()
+EVENLY = iac.Proportional()
 
 
 @dataclass(frozen=True)
@@ -61,26 +62,33 @@ class Variant:
     in_pybullet: bool = False
 
 
-def _of_2007(drive: iac.Drive) -> Variant:
+def _of_2007(drive: iac.Drive, meta: iac.MetaPredictor | None = None) -> Variant:
     """Return robots with that paper's numbers and senses."""
-    config = replace(iac.PRESETS["iac2007"], drive=drive)
+    config = replace(iac.PRESETS["iac2007"], drive=drive, meta=meta)
     return Variant(config, {"beams": 0, "toy_direction": False})
 
 
 VARIANTS = {
     "knn": Variant(iac.IACConfig(), in_pybullet=True),
     "knn-random": Variant(iac.IACConfig(drive=iac.Random()), in_pybullet=True),
-    "knn-max": Variant(iac.IACConfig(drive=iac.Error())),
-    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP)),
-    "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
-    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random())),
-    "knn-proportional": Variant(
-        iac.IACConfig(drive=iac.AbsoluteProgress(), choice=iac.Proportional())
-    ),
+    "knn-max": Variant(iac.IACConfig(drive=iac.Error()), in_pybullet=True),
+    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP), in_pybullet=True),
+    "knn-proportional": Variant(iac.IACConfig(drive=iac.AbsoluteProgress(), choice=EVENLY)),
     "knn-curriculum": Variant(iac.IACConfig(drive=iac.Curriculum())),
+    "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
+    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random()), in_pybullet=True),
+    "mlp-max": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Error()), in_pybullet=True),
+    "mlp-global": Variant(
+        iac.IACConfig(experts=NETWORKS, drive=iac.GlobalProgress(), meta=MP), in_pybullet=True
+    ),
+    "mlp-proportional": Variant(
+        iac.IACConfig(experts=NETWORKS, drive=iac.AbsoluteProgress(), choice=EVENLY)
+    ),
     "mlp-curriculum": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Curriculum())),
     "2007": _of_2007(iac.Progress()),
     "2007-random": _of_2007(iac.Random()),
+    "2007-max": _of_2007(iac.Error()),
+    "2007-global": _of_2007(iac.GlobalProgress(), MP),
 }
 
 
