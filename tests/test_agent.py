@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.agreement import check_step, oracle_of, scaled
 from torch_iac import (
@@ -658,56 +657,6 @@ def test_the_presets_hold_the_papers_numbers() -> None:
     assert PRESETS["iac2004"] == IACConfig()
     of_2007 = PRESETS["iac2007"]
     assert (of_2007.window, of_2007.delay, of_2007.error) == (26, 15, "squared")
-
-
-class HostReads(TorchDispatchMode):  # type: ignore[no-untyped-call]
-    """Counts what a GPU would have to be waited for: values that Python, or a shape, depends on."""
-
-    NAMES = ("_local_scalar_dense", "equal", "nonzero", "masked_select", "_unique2")
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self.found: list[str] = []
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        name = func.overloadpacket.__name__
-        masks = [
-            i
-            for i in (args[1] if name in ("index", "index_put", "index_put_") else [])
-            if i is not None
-        ]
-        if name in self.NAMES or any(mask.dtype == torch.bool for mask in masks):
-            self.found.append(name)
-        return func(*args, **(kwargs or {}))
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {},
-        {"experts": KNNExperts(k=3), "choice": Proportional()},
-        {"experts": MLPExperts(), "drive": GlobalProgress(), "meta": MetaPredictor()},
-        {"drive": Improvement(), "improvement": ImprovementPredictor(), "choice": Softmax()},
-        {"drive": Novelty()},
-        {"drive": Error(source="meta"), "meta": MetaPredictor()},
-    ],
-    ids=str,
-)
-def test_a_decision_without_a_split_asks_a_gpu_once(
-    space: SensorimotorSpace, values: dict[str, Any]
-) -> None:
-    agent = IAC(space, replace(SMALL, **values), seeds=range(3))
-    agent._asks_late = True  # as on a GPU
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(60):
-        n_regions = agent.tree.n_nodes
-        with HostReads() as reads:
-            agent.act(torch.rand(3, 2, generator=generator))
-            agent.observe(torch.rand(3, 2, generator=generator))
-        assert (
-            agent.tree.n_nodes > n_regions or not reads.found
-        )  # the one, `tolist`, is no operation
-    assert agent.tree.n_nodes > 3
 
 
 def test_on_a_gpu_bad_sensors_are_refused_when_the_decision_ends(space: SensorimotorSpace) -> None:
