@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from scripts.study import is_whole
 from torch_iac.cli import main as torch_iac
 from torch_iac.figures import STYLE, ZONE_COLOURS, time_axis
 from torch_iac.intervals import band
@@ -66,24 +67,21 @@ def main(study: Study) -> None:
 
 def tell_choices(study: Study) -> None:
     """Print where the trees let robots choose, and whether they then live otherwise."""
-    print("| world | held for | cuts on an action | does the drive change anything? |")
+    kinds = [(world, hold) for world in WORLDS for hold in HOLDS]
+    numbers = (study.robots, study.steps)
+    pairs = [[run_of(study.out, *kind, drive, *numbers) for drive in DRIVES] for kind in kinds]
+    print("| world | held for | cuts on an action | the drive changes the lives of |")
     print("|---|---|---|---|")
-    for world in WORLDS:
-        for hold in HOLDS:
-            curious, random = (
-                run_of(study.out, world, hold, drive, study.robots, study.steps) for drive in DRIVES
-            )
-            n_changed = np.any(actions(curious) != actions(random), axis=(0, 2)).sum()
-            print(
-                f"| {world} | {hold} | {share_on_actions(curious):.0%} "
-                f"| for {n_changed} of {curious.n_agents} robots |"
-            )
+    for (world, hold), (curious, random) in zip(kinds, pairs, strict=True):
+        n_changed = np.any(actions(curious) != actions(random), axis=(0, 2)).sum()
+        lives = f"{n_changed} of {curious.n_agents} robots"
+        print(f"| {world} | {hold} | {cuts_on_actions(curious)} | {lives} |")
 
 
 def run_of(out: Path, world: str, hold: int, drive: str, n_robots: int, n_steps: int) -> Run:
     """Return a run of all robots in one world; it is run if it is not there yet."""
     folder = out / f"{world}-hold-{hold}-{drive}-{n_robots}-robots-{n_steps}-steps"
-    if not (folder / "summary.json").exists():
+    if not is_whole(folder):
         words = f"train --world {world} --hold {hold} --drive {drive} --no-mp"
         numbers = f"--agents {n_robots} --steps {n_steps}"
         torch_iac([*words.split(), *numbers.split(), "--out", str(folder)])
@@ -95,10 +93,10 @@ def actions(run: Run) -> NDArray[Any]:
     return np.stack([run.column(f"action/{of.name}") for of in run.space.actions], axis=-1)
 
 
-def share_on_actions(run: Run) -> float:
-    """Return which share of the cuts of all robots is on an action."""
+def cuts_on_actions(run: Run) -> str:
+    """Return how many of the cuts of all robots are on an action, and how many there are."""
     cuts = [cut for cut in run.regions["cut_dimension"].to_pylist() if cut is not None]
-    return float(np.mean([cut.startswith("action_") for cut in cuts]))
+    return f"{sum(cut.startswith('action_') for cut in cuts)} of {len(cuts)}"
 
 
 def postures(run: Run) -> NDArray[np.intp]:

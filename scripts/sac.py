@@ -28,7 +28,7 @@ from scripts.claims import each, focus, in_order
 from scripts.reproduce_paper import TEST_EVERY
 from scripts.reproduce_paper import VARIANTS as PAPERS
 from scripts.reproduce_paper import life_of as of_paper
-from scripts.study import Diary, Life, live, tests_of
+from scripts.study import Diary, Life, is_whole, live, tests_of
 from torch_iac.charts import Curves, draw_shares, save
 from torch_iac.runs import Run, load_run
 
@@ -120,7 +120,7 @@ def others(study: Study, name: str) -> list[Run]:
 
 def maximise(kind: Learner, life: Life) -> None:
     """Let SAC maximise the learning progress of a robot's experts, unless it did already."""
-    if (life.folder / "summary.json").exists():
+    if is_whole(life.folder):
         return
     (seed,) = life.seeds
     world = gym.make(life.world)

@@ -1,5 +1,6 @@
 """What the studies share: robots that develop in a toy room, several runs at once, each kept."""
 
+import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -73,6 +74,14 @@ def live(life: Life) -> None:
     live_together([life])
 
 
+def is_whole(folder: Path) -> bool:
+    """Return whether a run is there; what an interrupted study left of one is cleared away."""
+    whole = (folder / "summary.json").exists()
+    if not whole:
+        shutil.rmtree(folder, ignore_errors=True)
+    return whole
+
+
 def live_together(lives: Sequence[Life]) -> None:
     """Let the robots of several runs develop side by side, as one vector of worlds.
 
@@ -81,7 +90,7 @@ def live_together(lives: Sequence[Life]) -> None:
     Args:
         lives: Runs of one length, in one kind of world; those that are there already are left out.
     """
-    lives = [life for life in lives if not (life.folder / "summary.json").exists()]
+    lives = [life for life in lives if not is_whole(life.folder)]
     if not lives:
         return
     torch.set_num_threads(1)
