@@ -7,13 +7,15 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.test_cli import train, typed
 from torch_iac.runs import load_run
 
-pytest.importorskip("ray", reason="needs Ray: pip install 'torch_iac[ray]'")
+WHY = "needs Ray: pip install 'torch_iac[ray]'"
+cluster_utils: Any = pytest.importorskip("ray.cluster_utils", reason=WHY)
 pytestmark = pytest.mark.filterwarnings("default")  # Ray has warnings of its own
 
 WORDS = ("--world", "kinematic", "--no-mp", "--checkpoint-every", "20")
@@ -23,10 +25,8 @@ WORDS = ("--world", "kinematic", "--no-mp", "--checkpoint-every", "20")
 def address() -> Iterator[str]:
     """A cluster of two nodes, each with room for one run."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    from ray.cluster_utils import Cluster
-
     room = {"num_cpus": 1, "object_store_memory": 100_000_000}
-    cluster = Cluster()
+    cluster = cluster_utils.Cluster()
     try:
         cluster.add_node(**room, include_dashboard=False)
         cluster.add_node(**room)
