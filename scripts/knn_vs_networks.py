@@ -142,7 +142,7 @@ def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
         for panel, (which, title) in zip(panels, SETS.items(), strict=True):
             draw_curves(panel, curves, which)
             panel.set_title(title, fontsize=8)
-        panels[0].set_ylabel("Mean absolute error in f2 (scaled)")
+        panels[0].set_ylabel("Mean error in f2 (scaled)")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure

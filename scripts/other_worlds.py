@@ -25,9 +25,9 @@ from torch_iac.figures import STYLE, ZONE_COLOURS, time_axis
 from torch_iac.intervals import band
 from torch_iac.runs import Run, load_run
 
-WORLDS = ("Swimmer-v5", "Pendulum-v1", "MountainCarContinuous-v0")
+WORLDS = ("Pendulum-v1", "MountainCarContinuous-v0", "Swimmer-v5")
 DRIVES = ("progress", "random")
-SWIMMER, HOLDS = WORLDS[0], (1, 10)
+SWIMMER, HOLDS = WORLDS[-1], (1, 10)
 STOP = 1.7
 """Radians: a joint of the swimmer that is bent so far is at its stop, which is at 1.745."""
 POSTURES = ("both joints at a stop", "one joint at a stop", "no joint at a stop")

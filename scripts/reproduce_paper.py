@@ -226,7 +226,7 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
             for panel, (which, title) in zip(row, SETS.items(), strict=True):
                 draw_curves(panel, curves, which)
                 panel.set_title(f"{title}, {kinds[kind]}", fontsize=8)
-            row[0].set_ylabel("Mean absolute error in f2 (scaled)")
+            row[0].set_ylabel("Mean error in f2 (scaled)")
         for panel in panels[:-1].flat:
             panel.set_xlabel("")
         handles, labels = panels[0][0].get_legend_handles_labels()
