@@ -14,11 +14,13 @@ from torch_iac.measures import FOCUS_SHARES, SETTLING
 from torch_iac.runs import MAIN, Run, shadow_error
 
 Better = Literal["lower", "higher"]
+"""Which values of a measure are better."""
 
 BETTER_SHARES: dict[str, Better] = {"f1": "lower", "f2": "higher"}
 """Time with what cannot be learnt is lost, time with what is hard and can be learnt is not."""
 
 Row = dict[str, Any]
+"""What is known of a robot, by column."""
 
 
 @dataclass(frozen=True)
