@@ -116,10 +116,6 @@ class IAC(Stateful):
         device: Where everything is kept and computed.
 
     Attributes:
-        space: What the robots do, sense and predict.
-        config: The numbers of the algorithm.
-        seeds: One for each agent.
-        device: Where everything is kept and computed.
         n_decisions: How many decisions each agent has taken.
         tree: The regions.
         examples: What each leaf holds.

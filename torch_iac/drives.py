@@ -273,7 +273,7 @@ class Curriculum:
             raise ValueError("stages must hold at least one stage, got none")
 
     def columns(self, space: SensorimotorSpace) -> list[int]:
-        """Return where among the space's actions each stage's one stands, counted from 0.
+        """Return where each stage's action stands among the actions, counted from 0.
 
         Raises:
             ValueError: The world has no action of a stage's name.

@@ -117,7 +117,13 @@ def _late_error(name: str, title: str, *path: str) -> Measure:
 def measure_rows(
     comparison: Comparison, runs: Mapping[str, Sequence[Run]], measures: Sequence[Measure]
 ) -> list[Row]:
-    """Return one row a robot: its variant, its seed, its run and each measure."""
+    """Return one row a robot: its variant, its seed, its run and each measure.
+
+    Args:
+        comparison: Whose runs they are.
+        runs: The ended runs of each variant, by its name.
+        measures: What is known of each robot; NaN where it has none.
+    """
     return [
         {
             "variant": variant,

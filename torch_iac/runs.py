@@ -358,6 +358,7 @@ def ancestors(run: Run, region: int, agent: int = 0) -> tuple[int, ...]:
 
     Raises:
         ValueError: There is no such agent.
+        IndexError: It has no such region.
     """
     parents = run.family(agent)["parent"].to_numpy()
     line = []
@@ -385,6 +386,7 @@ def region_bounds(run: Run, region: int, agent: int = 0) -> dict[str, tuple[floa
 
     Raises:
         ValueError: There is no such agent.
+        IndexError: It has no such region.
     """
     family = run.family(agent).to_pylist()
     children = children_of(family)
