@@ -180,8 +180,8 @@ def test_what_an_action_is_worth_is_the_drives_to_say(space: SensorimotorSpace) 
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        ([[0.0, 11.0]], r"action tone must lie in \[0, 10\], got 11 from agent 0"),
-        ([[math.nan, 5.0]], r"action push must lie in \[-1, 1\], got nan from agent 0"),
+        ([[0.0, 11.0]], r"tone must lie in \[0, 10\], got 11 from agent 0"),
+        ([[math.nan, 5.0]], r"push must lie in \[-1, 1\], got nan from agent 0"),
         ([0.0, 5.0], r"actions must have the shape \(agents, actions\) = \(1, 2\), got \(2,\)"),
     ],
 )
@@ -217,8 +217,8 @@ def test_predictions_on_request_are_those_of_decisions(
     ("actions", "sensors", "message"),
     [
         ([[0.0]], [[0.0, 0.0]], r"actions must have the shape \(situations, actions\) = \(1, 2\)"),
-        ([[0.0, 5.0]], [[0.0, 9.0]], r"sensor far must lie in .* got 9 from situation 0"),
-        ([[7.0, 5.0]], [[0.0, 0.0]], r"action push must lie in .* got 7 from situation 0"),
+        ([[0.0, 5.0]], [[0.0, 9.0]], r"far must lie in .* got 9 from situation 0"),
+        ([[7.0, 5.0]], [[0.0, 0.0]], r"push must lie in .* got 7 from situation 0"),
     ],
 )
 def test_predictions_are_of_situations_within_bounds(
@@ -599,8 +599,8 @@ def test_what_the_world_does_to_its_buffer_changes_nothing(space: SensorimotorSp
 @pytest.mark.parametrize(
     ("sensors", "message"),
     [
-        ([[np.nan, 0.0]], r"sensor near must lie in \[0, 2\], got nan from agent 0"),
-        ([[0.0, 3.5]], r"sensor far must lie in \[-1, 3\], got 3.5 from agent 0"),
+        ([[np.nan, 0.0]], r"near must lie in \[0, 2\], got nan from agent 0"),
+        ([[0.0, 3.5]], r"far must lie in \[-1, 3\], got 3.5 from agent 0"),
         ([[0.0]], r"sensors must have the shape \(agents, sensors\) = \(1, 2\), got \(1, 1\)"),
     ],
 )
@@ -665,5 +665,5 @@ def test_on_a_gpu_bad_sensors_are_refused_when_the_decision_ends(space: Sensorim
         agent = IAC(space, SMALL)
         agent._asks_late = True
         agent.act(before)
-        with pytest.raises(ValueError, match=r"sensor far must lie in \[-1, 3\], got 3.5"):
+        with pytest.raises(ValueError, match=r"far must lie in \[-1, 3\], got 3.5"):
             agent.observe(after)

@@ -190,9 +190,7 @@ def test_wrong_actions_are_named_and_not_carried_out() -> None:
     with pytest.raises(ResetNeeded, match="reset must be called before step"):
         env.step(np.zeros(1))
     env.reset(seed=0)
-    with pytest.raises(
-        ValueError, match=r"action action_0 must lie in \[-1, 1\], got 2 from agent 0"
-    ):
+    with pytest.raises(ValueError, match=r"action_0 must lie in \[-1, 1\], got 2 from agent 0"):
         env.step(np.array([2.0]))
     assert world.n_steps == 0
 

@@ -19,8 +19,10 @@ from torch_iac.space import Scale, SensorimotorSpace
 from torch_iac.state import State, Stateful
 
 Array = TypeVar("Array", np.ndarray, Tensor)
+"""For an array there is an array in return, for a tensor a tensor; each method says the shapes."""
 
 CHOICE_STREAM = 0
+"""Which of an agent's random streams its choices are drawn from."""
 
 PREDICTED_AT_ONCE = 4096
 """Of so many situations, over all agents, the experts are asked at once: each brings its own."""
@@ -51,10 +53,10 @@ class Step:
         sensors: Shape `(A, sensor_dim)`, before the action.
         outcomes: Shape `(A, K)`, what the predicted sensors read after the action.
         predictions: Shape `(A, K)`, made before learning from the outcome.
-        errors: Shape `(A,)`, float64, in scaled units.
+        errors: Shape `(A,)`, float64, absolute or squared as the config says, in scaled units.
         expected_errors: Shape `(A,)`, what MP expected, in scaled units; None without MP.
         regions: Shape `(A,)`, the region whose expert predicted, before any split.
-        progress: Shape `(A,)`, float64, of that region when the action was chosen.
+        progress: Shape `(A,)`, float64, of that region when the action was chosen, in scaled units.
         random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
         shadows: What the other experts made of it, in the config's order.
     """
@@ -74,12 +76,12 @@ class Step:
 
 @dataclass(frozen=True)
 class RegionSummary:
-    """The present leaves, by agent, then region; columns of equal length, on the CPU.
+    """The present leaves, by agent, then region; columns of shape `(leaves,)`, on the CPU.
 
     Attributes:
         agent: Place of the agent in the population.
         region: The region's number within its agent.
-        progress: Its last learning progress.
+        progress: Its last learning progress, in scaled units.
         mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
         n_examples: How many examples it holds.
     """
@@ -109,13 +111,24 @@ class IAC(Stateful):
 
     Args:
         space: What the robots do, sense and predict.
-        config: The numbers of the algorithm.
-        seeds: One for each agent.
+        config: The numbers of the algorithm; those of 2004 if not given.
+        seeds: One for each agent, any whole numbers.
         device: Where everything is kept and computed.
 
+    Attributes:
+        n_decisions: How many decisions each agent has taken.
+        tree: The regions.
+        examples: What each leaf holds.
+        history: The errors and the progress of each leaf.
+        whole_history: Each agent's errors in all regions together; None if the drive needs none.
+        experts: What predicts.
+        shadows: The experts that only look on, by name.
+        meta: MP; None without one.
+        improvement: What learns how much an update lowers the error; None without one.
+
     Raises:
-        ValueError: There are no seeds, the device is not there, or a curriculum is about an action
-            that the world has not.
+        ValueError: There are no seeds, the device is not there, a module cannot be the experts'
+            network, or a curriculum is about an action that the world has not.
 
     Example:
         A robot that pushes and senses how far it got:
@@ -210,7 +223,9 @@ class IAC(Stateful):
             Shape `(A, action_dim)`, in raw units, float32, an array or a tensor like `sensors`.
 
         Raises:
-            ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
+            ValueError: The sensors have the wrong shape, NaN, or values outside their bounds (which
+                on a GPU `observe` notices), or what the drive returns has the wrong shape.
+            RuntimeError: The drive looks at knowledge that its `needs` do not name.
         """
         readings = self._checked(sensors)
         numbers = self._choices.at(self.n_decisions)
@@ -238,7 +253,8 @@ class IAC(Stateful):
             sensors: Shape `(A, sensor_dim)`, before the actions, alike.
 
         Raises:
-            ValueError: A shape is wrong, or a value is NaN or outside its bounds.
+            ValueError: A shape is wrong, or a value is NaN or outside its bounds (which on a GPU,
+                for sensors, `observe` notices).
         """
         readings, given, candidates, nodes = self._told(actions, sensors)
         random = torch.zeros(self.n_agents, dtype=torch.bool, device=self.device)
@@ -258,7 +274,8 @@ class IAC(Stateful):
             Shape `(A,)`, float64, in the drive's units: of progress, those of scaled errors.
 
         Raises:
-            ValueError: A shape is wrong, or a value is NaN or outside its bounds.
+            ValueError: A shape is wrong, or a value is NaN or outside its bounds (which on a GPU,
+                for sensors, nobody notices).
         """
         _, _, candidates, _ = self._told(actions, sensors)
         return self._worth(candidates)[:, 0]
@@ -273,6 +290,7 @@ class IAC(Stateful):
         Raises:
             RuntimeError: There was no `act` or `take` before.
             ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
+            FloatingPointError: A loss is not finite; the message names the agent and the region.
         """
         decision = self._decision
         if decision is None:
@@ -361,7 +379,7 @@ class IAC(Stateful):
         """Return what each present leaf knows.
 
         Args:
-            n_agents: Of the first so many agents; of all if not given.
+            n_agents: Only of the first so many agents; of all if not given.
         """
         nodes = self.tree.leaves()
         if n_agents is not None:
@@ -380,7 +398,7 @@ class IAC(Stateful):
         expected = (self.n_agents, len(self.space.sensors))
         readings = self._given(sensors, "sensors", "agents", expected)
         if not self._asks_late:
-            self._sensor_scale.check(readings, "sensor", "agent")
+            self._sensor_scale.check(readings, "agent")
         return readings
 
     def _given(
@@ -398,7 +416,7 @@ class IAC(Stateful):
     def _scaled(self, values: Array, what: str, n_rows: int, scale: Scale) -> Tensor:
         """Return values of situations that need not be the present ones, in the unit cube."""
         given = self._given(values, what, "situations", (n_rows, len(scale.dimensions)))
-        scale.check(given, what.removesuffix("s"), "situation")
+        scale.check(given, "situation")
         return scale.to_unit(given)
 
     def _told(
@@ -408,7 +426,7 @@ class IAC(Stateful):
         readings = self._checked(sensors)
         expected = (self.n_agents, len(self.space.actions))
         given = self._given(actions, "actions", "agents", expected)
-        self._action_scale.check(given, "action", "agent")
+        self._action_scale.check(given, "agent")
         candidates, nodes = self._candidates(readings, self._action_scale.to_unit(given)[:, None])
         return readings, given, candidates, nodes
 
@@ -496,7 +514,7 @@ class IAC(Stateful):
         *is_wrong, is_full = torch.stack([flags.any() for flags in (*wrong, full)]).tolist()
         if any(is_wrong):
             for seen in (decision.sensors, readings):
-                self._sensor_scale.check(seen, "sensor", "agent")
+                self._sensor_scale.check(seen, "agent")
             for loss in losses:
                 self._refuse_infinite(loss, decision.nodes)
         return bool(is_full)

@@ -24,6 +24,7 @@ SEED = 0
 """Bounds are found with this seed always: they are the world's, not a robot's."""
 
 Floats = NDArray[np.floating[Any]]
+"""A number for each sensor, shape `(sensor_dim,)`, in raw units."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Bounds:
     """Bounds for all sensors of a world, not all of them its own.
 
     Attributes:
-        box: What sensors are clipped to.
+        box: What sensors are clipped to, in raw units.
         given: The names of the sensors whose bounds were given.
         found: The names of those for which one was found.
     """
@@ -47,7 +48,7 @@ class Bounds:
 
 
 def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the bounds of sensors, each written as name=low,high.
+    """Return the bounds of sensors, in raw units, each written as name=low,high.
 
     Raises:
         ValueError: One is written otherwise, or is not finite and in order.
@@ -73,11 +74,11 @@ def bounds_of(
 
     Args:
         world: A single world; random decisions are taken in it if they are needed.
-        given: Low and high by the name of the sensor.
+        given: Low and high, in raw units, by the name of the sensor.
         n_decisions: How many random decisions.
 
     Raises:
-        ValueError: A name is no sensor's.
+        ValueError: A name is no sensor's, or the world names more or fewer than there are.
     """
     box = world.single_observation_space
     if not isinstance(box, Box) or len(box.shape) != 1:
@@ -102,6 +103,9 @@ def found_bounds(world: World, n_decisions: int) -> tuple[Floats, Floats]:
 
     They lie a tenth of the range outside of what was read; around a sensor that never moved, by
     1 or its size, whichever is more.
+
+    Returns:
+        The low and the high ones, each of shape `(sensor_dim,)`, in raw units.
     """
     world.action_space.seed(SEED)
     sensors, _ = world.reset(seed=SEED)

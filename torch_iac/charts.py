@@ -28,6 +28,7 @@ LINES = ("-", "--", ":", "-.")
 """How lines look, for each time that the colours are used up."""
 
 DPI = 220
+"""Dots an inch."""
 
 EVERYWHERE = "everywhere"
 """What all zones together are called."""
@@ -50,8 +51,8 @@ class Curves:
         zone_names: The zones of their world.
         window: How many decisions each window has.
         shares: Shape `(W, S, Z)`: of the time, in each zone.
-        errors: Shape `(W, S, 1 + Z)`: the mean error, in all and in each zone; NaN where a robot
-            was not there.
+        errors: Shape `(W, S, 1 + Z)`: the mean error, in all and in each zone, in scaled units; NaN
+            where a robot was not there.
     """
 
     zone_names: tuple[str, ...]
@@ -77,7 +78,7 @@ class Curves:
 
     @property
     def middles(self) -> NDArray[np.float64]:
-        """When each window is at its middle, shape `(W,)`."""
+        """At which decision each window is at its middle, shape `(W,)`."""
         return np.asarray((np.arange(len(self.errors)) + 0.5) * self.window)
 
     def shares_in(self, zone: str) -> NDArray[np.float64]:

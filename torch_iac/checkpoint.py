@@ -34,8 +34,10 @@ FORMAT = 1
 """Which layout of a checkpoint this version writes and reads."""
 
 STATE, CONTENT, MANIFEST, LATEST = "state.safetensors", "state.json", "manifest.json", "LATEST"
+"""What the files are called."""
 
 PARTS = ("agent", "world", "loop")
+"""What a checkpoint holds: fields of `Checkpoint`."""
 
 LONGEST_MANIFEST = 2**26
 """In bytes; what is longer is no manifest."""
@@ -86,6 +88,10 @@ class Checkpoints:
     Args:
         folder: Where they are, such as `checkpoints` in the run's folder; made when it is needed.
         identity: What must be the same for a checkpoint to fit, as JSON can hold it.
+
+    Raises:
+        TypeError: JSON cannot hold the identity.
+        ValueError: A number in it is not finite.
     """
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
@@ -102,6 +108,7 @@ class Checkpoints:
         Raises:
             OSError: It cannot be written; those before it are untouched.
             TypeError: The world or the loop has state that cannot be packed.
+            ValueError: A number in it is not finite.
         """
         before = self._sound or self._latest()
         files = self._files(checkpoint)

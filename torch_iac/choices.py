@@ -16,7 +16,7 @@ class Choice(Protocol):
         """Return which candidate each agent takes, shape `(A,)`.
 
         Args:
-            worth: Shape `(A, C)`, float64.
+            worth: Shape `(A, C)`, float64; infinite worth is allowed.
             numbers: Shape `(A,)`, uniform over [0, 1), the chance that there is in the choice.
         """
 
@@ -63,11 +63,14 @@ class Softmax:
 
     and uniform among those of infinite worth.
 
+    Raises:
+        ValueError: The temperature is not finite and above 0.
+
     Source: the usual rule of reinforcement learning, which the 2004 paper leaves open.
     """
 
     temperature: float = 0.01
-    """In the units of worth: for progress, of prediction error."""
+    """By how much more worth an action is e times as probable; for progress, in scaled units."""
 
     def __post_init__(self) -> None:
         if not 0 < self.temperature < math.inf:

@@ -69,7 +69,19 @@ def begin(settings: Train, words: Sequence[str]) -> None:
 
 
 def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False) -> None:
-    """Let robots develop in a new run folder, or go on in the one that they have."""
+    """Let robots develop in a new run folder, or go on in the one that they have.
+
+    Args:
+        settings: What `torch-iac train` was told.
+        out: The run folder.
+        words: The whole command, for `config.json`.
+        resume: Whether the folder holds this run already, begun before.
+
+    Raises:
+        StoppedError: It was asked to stop, and has saved itself.
+        ValueError: Something of it is refused; the message says the rule and the value.
+        OSError: The folder holds another run, or cannot be written.
+    """
     if settings.agents < THREADED_AGENTS:
         torch.set_num_threads(1)
     bounds, config, device = settings.bounds(), settings.config(), settings.torch_device()
@@ -116,7 +128,11 @@ def _develop(settings: Train, agent: IAC, env: World, recorder: Recorder) -> Non
 
 @dataclass(frozen=True)
 class Resume:
-    """Go on with a run that was stopped or killed, from its last checkpoint, bit for bit."""
+    """Go on with a run that was stopped or killed, from its last checkpoint, bit for bit.
+
+    Raises:
+        ValueError: `steps` is below 1 or too large.
+    """
 
     run_folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
@@ -128,7 +144,12 @@ class Resume:
             check_count("steps", self.steps)
 
     def run(self) -> None:
-        """Carry the command out."""
+        """Carry the command out.
+
+        Raises:
+            FileNotFoundError: The folder holds no run.
+            ValueError: It is none of `torch-iac train`, or it has ended with as many decisions.
+        """
         run = load_run(self.run_folder)
         words = _words_of(run)
         settings = settings_of(words[2:])
@@ -291,6 +312,9 @@ class Replay:
     """Film a robot of a run at stages of its development, with what it predicts and learns.
 
     Its world is made again, and its recorded actions happen again.
+
+    Raises:
+        ValueError: `decisions` is below 1 or too large.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional]
@@ -309,7 +333,13 @@ class Replay:
         check_count("decisions", self.decisions)
 
     def run(self) -> None:
-        """Carry the command out."""
+        """Carry the command out.
+
+        Raises:
+            FileNotFoundError: The folder holds no run.
+            ValueError: The robot, a decision or the film's name is refused, the world draws no
+                pictures, or it does not come out as recorded.
+        """
         run = load_run(self.run_folder)
         out = self.out or run.folder / "figures" / "replay.mp4"
         writer_for(out)  # refuses a wrong name now
@@ -427,7 +457,11 @@ def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures | Re
 
 
 class StoppedError(Exception):
-    """A command was asked to stop, and did so; the sentence says how to go on."""
+    """A command was asked to stop, and did so; the sentence says how to go on.
+
+    Attributes:
+        signal: The number of the signal that asked.
+    """
 
     def __init__(self, number: int, sentence: str) -> None:
         super().__init__(sentence)

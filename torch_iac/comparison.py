@@ -63,7 +63,11 @@ class Variant:
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Return the variant that a text such as `mlp: --experts mlp` describes."""
+        """Return the variant that a text such as `mlp: --experts mlp` describes.
+
+        Raises:
+            ValueError: It is not written NAME: WORDS, or no variant can be made of it.
+        """
         name, colon, words = text.partition(":")
         if not colon:
             raise ValueError(f"a variant must be written NAME: WORDS, got {text}")
@@ -107,7 +111,11 @@ class Job:
 
     @property
     def reason(self) -> str:
-        """Why it failed."""
+        """Why it failed.
+
+        Raises:
+            FileNotFoundError: It has not.
+        """
         return self._failure.read_text(encoding="utf-8").strip()
 
     @property
@@ -213,6 +221,13 @@ class Comparison:
     ) -> Self:
         """Return the comparison with more variants, or more or other seeds.
 
+        Args:
+            variants: Those to add; what is known already may be among them.
+            words: Options for all, the same as before; none for the same.
+            n_seeds: How many robots of each variant; as many as before if not given.
+            seed: The seed of the first; as before if not given.
+            block: The population of one run, the same as before; None for the same.
+
         Raises:
             ValueError: Something differs of which there are runs already.
         """
@@ -276,7 +291,8 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
     """Return the variants in a JSON file: under each name, words as a list or as one text.
 
     Raises:
-        ValueError: The file holds something else.
+        OSError: The file cannot be read.
+        ValueError: It holds something else.
     """
     try:
         return _variants(parse_json(path.read_bytes()))

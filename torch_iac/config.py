@@ -36,17 +36,20 @@ class IACConfig:
     n_candidates: int = 50
     """How many random actions are weighed at a decision (the papers do not say)."""
     epsilon: float = 0.1
-    """Probability of a uniformly random action instead of the best candidate."""
+    """Probability of a uniformly random action (2004: 0.1; 2007: 0.15 here, typically 0.35)."""
     max_examples: int = 250
     """C1: a region splits when it holds more examples than this (NS)."""
     balance: float = 0.15
-    """C2: smallest share of the examples that a child may keep (2004: "relatively balanced")."""
+    """C2: smallest share of the examples that a child may keep, in [0, 0.5] (2004 says "relatively
+    balanced" and no number, 2007 nothing). A full region that cannot be cut so forgets its oldest
+    example (the papers do not say)."""
     window: int = 150
-    """How many errors the mean error is taken over (DELAY; theta + 1 in 2007)."""
+    """How many errors of a region its mean error is taken over (DELAY; theta + 1 in 2007)."""
     delay: int = 150
-    """How many errors lie between the two means compared (DELAY; tau in 2007)."""
+    """How many errors of a region lie between the two means compared (DELAY; tau in 2007)."""
     error: Literal["absolute", "squared"] = "absolute"
-    """Prediction error, averaged over outcome dimensions: absolute (2004) or squared (2007)."""
+    """Prediction error, in scaled units: absolute (2004) or squared (2007). Over several outcomes
+    it is the mean (the papers have one)."""
     inherit_history: bool = True
     """Children take over their parent's errors and progress (2007; 2004 draws it in figure 2);
     otherwise they start with none."""

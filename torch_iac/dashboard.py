@@ -77,6 +77,7 @@ DESCRIPTIONS = {
     "that the meta-predictor expected, the next tenth and so on: what it expected on average, and "
     "what the error was. A calibrated one keeps to the diagonal.",
 }
+"""What is said of tags, beside them."""
 
 PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
 """Which part of TensorBoard shows which kind of value."""

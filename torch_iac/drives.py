@@ -18,6 +18,7 @@ from torch_iac.progress import ErrorHistory
 from torch_iac.space import SensorimotorSpace
 
 Part = TypeVar("Part")
+"""The kind of a part of the knowledge."""
 
 Need = Literal["meta", "whole_history", "improvement"]
 """Parts of the knowledge that are kept only for drives that name them in `needs`."""
@@ -46,8 +47,10 @@ class Knowledge:
         examples: What each region holds.
         history: Each region's errors and progress.
         meta: MP; None without one.
-        whole_history: Each agent's errors in all regions together, one row an agent.
-        improvement: What each agent learns of how much an update improves a prediction.
+        whole_history: Each agent's errors in all regions together, one row an agent; None unless
+            the drive needs it.
+        improvement: What each agent learns of how much an update improves a prediction; None
+            without it.
     """
 
     step: int
@@ -68,7 +71,10 @@ class Drive(Protocol):
         """Which optional parts of the knowledge the drive looks at."""
 
     def worth(self, candidates: Candidates, knowledge: Knowledge) -> Tensor:
-        """Return what each candidate is worth, shape `(A, C)`, float64; higher is better."""
+        """Return what each candidate is worth, shape `(A, C)`, float64; higher is better.
+
+        The units are the drive's own: those of progress and of errors are scaled.
+        """
 
 
 @dataclass(frozen=True)
@@ -147,7 +153,11 @@ class Error:
 
     worth(a) = mean error of the region that holds (a, sensors), or MP(a, sensors)
 
-    Source: the naive curiosity that the 2004 paper warns of; MAX in Oudeyer et al. (2007).
+    Raises:
+        ValueError: `source` is neither "region" nor "meta".
+
+    Source: the naive curiosity that the 2004 paper warns of; with "region", MAX in Oudeyer, Kaplan
+    and Hafner (2007).
     """
 
     source: Literal["region", "meta"] = "region"
@@ -212,10 +222,15 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a curriculum: the values of one dimension that are to be trained, and when."""
+    """A part of a curriculum: the values of one dimension that are to be trained, and when.
+
+    Raises:
+        ValueError: `low` and `high` are not finite and in order, or `until` is negative or too
+            large.
+    """
 
     dimension: str
-    """The action that the stage is about."""
+    """The name of the action that the stage is about."""
     low: float
     """Values lie above this, in raw units."""
     high: float
@@ -242,6 +257,9 @@ class Curriculum:
 
     worth(a) = 1 if the action is in the present stage, else 0
 
+    Raises:
+        ValueError: There are no stages.
+
     Source: Elman (1993) and Nagai et al. (2002), as the 2004 paper speaks of them.
     """
 
@@ -255,7 +273,7 @@ class Curriculum:
             raise ValueError("stages must hold at least one stage, got none")
 
     def columns(self, space: SensorimotorSpace) -> list[int]:
-        """Return where in the actions the dimension of each stage stands.
+        """Return where each stage's action stands among the actions, counted from 0.
 
         Raises:
             ValueError: The world has no action of a stage's name.
@@ -280,7 +298,10 @@ class Curriculum:
 
 @dataclass(frozen=True)
 class Random:
-    """The baseline: nothing is worth more than anything else, so actions are uniformly random."""
+    """The baseline: nothing is worth more than anything else, so actions are uniformly random.
+
+    Source: RANDOM in Oudeyer, Kaplan and Hafner (2007).
+    """
 
     needs: ClassVar[frozenset[Need]] = frozenset()
 

@@ -14,11 +14,13 @@ from torch_iac.measures import FOCUS_SHARES, SETTLING
 from torch_iac.runs import MAIN, Run, shadow_error
 
 Better = Literal["lower", "higher"]
+"""Which values of a measure are better."""
 
 BETTER_SHARES: dict[str, Better] = {"f1": "lower", "f2": "higher"}
 """Time with what cannot be learnt is lost, time with what is hard and can be learnt is not."""
 
 Row = dict[str, Any]
+"""What is known of a robot, by column."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,13 @@ def _late_error(name: str, title: str, *path: str) -> Measure:
 def measure_rows(
     comparison: Comparison, runs: Mapping[str, Sequence[Run]], measures: Sequence[Measure]
 ) -> list[Row]:
-    """Return one row a robot: its variant, its seed, its run and each measure."""
+    """Return one row a robot: its variant, its seed, its run and each measure.
+
+    Args:
+        comparison: Whose runs they are.
+        runs: The ended runs of each variant, by its name.
+        measures: What is known of each robot; NaN where it has none.
+    """
     return [
         {
             "variant": variant,

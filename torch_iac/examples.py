@@ -16,11 +16,18 @@ from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 NO_EXAMPLE_OUTCOME = 0.5
-"""What is predicted without any example: the middle of the scale."""
+"""What is predicted without any example, in scaled units: the middle (the papers do not say)."""
 
 
 class Examples(Stateful):
     """The examples of each leaf, oldest first.
+
+    Args:
+        n_rows: How many leaves there are at first.
+        situation_dim: D.
+        outcome_dim: K.
+        max_examples: How many examples a leaf may keep; there is room for one more, N in all.
+        device: Where the examples are kept.
 
     Attributes:
         situations: Shape `(L, D, N)`, in the unit cube; infinite where there is no example, so
@@ -28,6 +35,8 @@ class Examples(Stateful):
         outcomes: Shape `(L, K, N)`, in scaled units; `NO_EXAMPLE_OUTCOME` where there is none.
         counts: Shape `(L,)`, how many examples each row holds.
         n_rows: How many rows are in use.
+
+    Source: Oudeyer and Kaplan (2004), section 2.1: each example belongs to one expert.
     """
 
     tables: ClassVar = {"n_rows": ("situations", "outcomes", "counts")}
@@ -48,12 +57,15 @@ class Examples(Stateful):
         self.counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
 
     def add(self, rows: Tensor, situations: Tensor, outcomes: Tensor) -> Tensor:
-        """Store one example in each of some different rows and return their new counts.
+        """Store one example in each of some different rows.
 
         Args:
             rows: Shape `(A,)`.
-            situations: Shape `(A, D)`.
-            outcomes: Shape `(A, K)`.
+            situations: Shape `(A, D)`, in the unit cube.
+            outcomes: Shape `(A, K)`, in scaled units.
+
+        Returns:
+            Shape `(A,)`, how many examples each of them holds now.
         """
         counts = self.counts.take(rows)
         self.situations[rows, :, counts] = situations

@@ -19,6 +19,7 @@ from torch_iac.regions import Split
 from torch_iac.state import Stateful
 
 MINIBATCH_STREAM = 1
+"""Which of an agent's random streams the examples that networks learn from are drawn from."""
 
 AGENTS_IN_CACHE = 64
 """Of so many agents the examples of a region each are compared at once on a processor: they, and
@@ -53,7 +54,12 @@ class ExpertPool(Protocol):
         """
 
     def split(self, examples: Examples, split: Split) -> None:
-        """Make experts for the children of regions, whose examples have been parted."""
+        """Make experts for the children of regions, whose examples have been parted.
+
+        Args:
+            examples: What the regions hold now.
+            split: The regions that split.
+        """
 
 
 @runtime_checkable
@@ -70,6 +76,9 @@ class Experts(Protocol):
             outcome_dim: K.
             seeds: One for each agent.
             device: Where they learn.
+
+        Raises:
+            ValueError: There can be no such experts.
         """
 
 
@@ -80,11 +89,14 @@ class KNNExperts(Stateful):
     Distance is Euclidean in the unit cube; ties go to the older example. With fewer than `k`
     examples all of them count; with none the prediction is 0.5.
 
-    Source: Oudeyer and Kaplan (2004), section 2.1, which does not say `k`.
+    Raises:
+        ValueError: `k` is below 1 or too large.
+
+    Source: Oudeyer and Kaplan (2004), section 2.1, which says neither `k` nor the distance.
     """
 
     k: int = 1
-    """How many neighbours are averaged."""
+    """How many neighbours are averaged (the papers do not say)."""
 
     def __post_init__(self) -> None:
         check_count("k", self.k)
@@ -113,7 +125,7 @@ class KNNExperts(Stateful):
         return torch.where(n_neighbours > 0, mean, NO_EXAMPLE_OUTCOME)
 
     def learn(self, examples: Examples, rows: Tensor, step: int) -> None:
-        """Do nothing: the example is stored already."""
+        """Do nothing, for rows `(A,)`: the example is stored already."""
 
     def split(self, examples: Examples, split: Split) -> None:
         """Do nothing: the examples are parted already."""
@@ -138,7 +150,11 @@ def _first_least(distances: Tensor) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkTraining(Training):
-    """How the networks of regions learn."""
+    """How the networks of regions learn.
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+    """
 
     children: Literal["copy", "fresh"] = "copy"
     """At a split, children start from copies of their parent's weights, or (2007) as new networks
@@ -181,7 +197,11 @@ class NetworkExperts(NetworkTraining):
 
 @dataclass(frozen=True, kw_only=True)
 class MLPExperts(NetworkTraining):
-    """A multi-layer perceptron for each region: `NetworkExperts` with the default module."""
+    """A multi-layer perceptron for each region: `NetworkExperts` with the default module.
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+    """
 
     hidden: tuple[int, ...] = (32, 32)
     """Units of each hidden layer."""
@@ -206,6 +226,9 @@ class NetworkPool(Stateful):
         training: How they learn.
         seeds: One for each agent.
         device: Where they learn.
+
+    Attributes:
+        networks: Their weights, a row a leaf.
     """
 
     saved = ("networks",)
@@ -232,7 +255,10 @@ class NetworkPool(Stateful):
         return self.networks.predict(rows, situations[:, None])[:, 0]
 
     def learn(self, examples: Examples, rows: Tensor, step: int) -> Tensor:
-        """Take the decision's steps of the optimiser and return the losses, shape `(A,)`."""
+        """Take the decision's steps of the optimiser and return the losses, shape `(A,)`.
+
+        A loss is the mean squared error, in scaled units, over the last minibatch.
+        """
         return self._train(examples, rows, self._picks.at(step))
 
     def split(self, examples: Examples, split: Split) -> None:

@@ -63,6 +63,7 @@ STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.6,
     "pdf.fonttype": 42,  # text stays text
 }
+"""How all figures look."""
 
 DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
 """How deciles look."""
@@ -120,6 +121,11 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
         run: The run.
         agent: Whose experts.
         window: How many errors the mean is over; the run's own `error_window` if none is given.
+
+    Raises:
+        ValueError: There is no such agent, or its steps are not recorded.
+
+    Source: Oudeyer and Kaplan (2004), figure 2.
     """
     window = run.error_window if window is None else window
     curves = error_curves(run, agent, window)
@@ -153,6 +159,8 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
 
     Raises:
         ValueError: The world has no zones, or the window is none that was kept.
+
+    Source: Oudeyer and Kaplan (2004), figure 3.
     """
     if not run.zone_names:
         raise ValueError(f"the world of {run.folder} has no zones, so there are no shares to draw")
@@ -187,6 +195,9 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
     Args:
         run: The run.
         window: Over how many decisions errors are averaged; a shorter run is one window.
+
+    Raises:
+        ValueError: The window is none that was kept.
     """
     window = min(window, run.n_decisions)
     names = run.zone_names or ("",)
@@ -315,6 +326,9 @@ def region_colours(run: Run, agent: int = 0) -> tuple[list[str], dict[str, str]]
     """Return the colour of each region, and what colours mean.
 
     It is that of the zone which the region mostly covers, or of its depth in a world without zones.
+
+    Raises:
+        ValueError: There is no such agent, or, in a world with zones, its steps are not recorded.
     """
     return _zone_colours(run, agent) if run.zone_names else _depth_colours(run, agent)
 

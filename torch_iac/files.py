@@ -21,6 +21,13 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file so that, at every moment, its name holds the old content or the new, whole.
 
     If writing fails, nothing is left of it.
+
+    Args:
+        path: The file.
+        write: Writes the content to the path that it is given.
+
+    Raises:
+        OSError: The disk refuses it.
     """
     temporary = path.with_name(f".{path.name}.tmp")
     try:

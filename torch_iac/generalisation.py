@@ -68,7 +68,7 @@ def collect(
         space: What is an outcome there.
         n_transitions: How many are returned.
         seed: Seeds the worlds and the actions.
-        zone: Only transitions in this zone, by `info["zone"]`; all without it.
+        zone: Only transitions in this zone, by its number in `info["zone"]`; all if none is given.
         anew: Whether every action is taken from where a new life starts, rather than from where
             the actions before have led.
 
@@ -99,7 +99,11 @@ def collect(
 
 
 def errors_on(transitions: Transitions, agent: IAC) -> TestErrors:
-    """Return how far each agent's predictions are off; it learns nothing from it."""
+    """Return how far each agent's predictions are off; it learns nothing from it.
+
+    Raises:
+        ValueError: The transitions do not fit the agents' space.
+    """
     predictions = agent.predict(transitions.actions, transitions.sensors)  # (A, N, K)
     spans = np.array([outcome.high - outcome.low for outcome in agent.space.outcomes])
     off = (predictions - transitions.outcomes).astype(np.float64) / spans

@@ -42,6 +42,7 @@ TAG = "measures/"
 """How the tags of measures begin."""
 
 Settings = Mapping[str, str | float]
+"""What a run was told, by name."""
 
 
 def write_experiment(folder: Path, settings: Sequence[Settings], labels: Mapping[str, str]) -> None:

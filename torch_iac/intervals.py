@@ -23,6 +23,7 @@ BATCH = 2_000_000
 """How many values it holds at once."""
 
 Values = NDArray[np.float64]
+"""What robots did, one number each along the last axis, in any units."""
 
 
 @dataclass(frozen=True)

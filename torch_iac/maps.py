@@ -33,6 +33,7 @@ DOT: dict[str, Any] = {"marker": ".", "markersize": 3, "linestyle": "none"}
 """How the decision that is being chosen looks, and how those before it do."""
 
 PANELS_A_ROW = 3
+"""How many planes stand side by side."""
 
 PANEL = 2.3
 """Inches: the height of a row of panels."""
@@ -96,6 +97,9 @@ def draw_tree(run: Run, agent: int = 0) -> Figure:
     Args:
         run: The run.
         agent: Whose regions.
+
+    Raises:
+        ValueError: There is no such agent, or its steps are not recorded.
     """
     family = run.family(agent).to_pylist()
     heights = _heights(family)

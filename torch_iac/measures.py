@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from torch_iac.runs import WINDOW, Run, by_decile, final_leaves, focus_steps, known_mean
 
 FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
-"""The share of a window that counts as a focus on a zone, for the zones of the 2004 paper."""
+"""The share of a window that counts as a focus on a zone, for the zones of the 2004 paper; it gives
+no number."""
 
 SETTLING = 1000
 """How many first decisions the settled shares leave out, and how many last ones errors take, from
@@ -35,7 +36,7 @@ class Expectation:
 
     Attributes:
         expected: The mean expected error, in scaled units; NaN if there are no such decisions.
-        actual: The mean error.
+        actual: The mean error, in scaled units.
         n_decisions: How many decisions, of all agents together.
     """
 
@@ -58,8 +59,8 @@ class Calibration:
         overall: All decisions since.
         zones: Those in each zone of the world, if it has any.
         expected: Shape `(10,)`: the mean expectation of each tenth of an agent's decisions, from
-            those with the lowest expectation to those with the highest.
-        actual: Shape `(10,)`: their mean error.
+            those with the lowest expectation to those with the highest, in scaled units.
+        actual: Shape `(10,)`: their mean error, in scaled units.
     """
 
     first_step: int
@@ -106,6 +107,9 @@ def leaf_purity(run: Run, zones: NDArray[np.integer[Any]] | None = None) -> NDAr
 
     Returns:
         Shape `(A,)`, of the recorded agents.
+
+    Source: the claim is that of Oudeyer and Kaplan (2004), section 2.2, that groups of experts are
+    self-coherent; how it is measured is this library's.
     """
     zones = run.column("zone") if zones is None else zones
     leaves, n_zones = final_leaves(run), len(run.zone_names)
@@ -128,7 +132,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
 
     Args:
         run: The run.
-        seconds: How long it took, by the clock on the wall.
+        seconds: How long it took (s), by the clock on the wall.
     """
     n_decisions, n_regions = run.n_decisions, count_regions(run)
     by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)

@@ -15,6 +15,8 @@ from torch_iac.randomness import RandomStream
 from torch_iac.state import Stateful
 
 META_STREAM = 2
+"""Which of an agent's random streams the decisions that MP learns from are drawn from."""
+
 SMALL_ERROR = 1e-4
 """Added to errors before their logarithm is learnt, so that MP can come back from expecting none;
 taken off again when it is asked."""
@@ -22,7 +24,11 @@ taken off again when it is asked."""
 
 @dataclass(frozen=True, kw_only=True)
 class RecentTraining(Training):
-    """How a network of the agent learns from its most recent decisions."""
+    """How a network of the agent learns from its most recent decisions.
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+    """
 
     hidden: tuple[int, ...] = (32, 32)
     """Units of each hidden layer."""
@@ -84,7 +90,7 @@ class ImprovementPredictor(RecentTraining):
 
     It makes its mean squared error smaller.
 
-    Source: Schmidhuber (1991).
+    Source: Schmidhuber (1991); what the network is, is this library's choice.
     """
 
     def start(
@@ -111,7 +117,10 @@ class ErrorExpectation(Stateful):
         return self._networks.predict(situations).exp_().sub_(SMALL_ERROR).clamp_(0.0, 1.0)
 
     def learn(self, situations: Tensor, errors: Tensor, step: int) -> Tensor:
-        """Learn from one situation `(A, D)` and error `(A,)` each; return the losses `(A,)`."""
+        """Learn from one situation `(A, D)` and error `(A,)` each; return the losses `(A,)`.
+
+        Situations are in the unit cube, errors in scaled units; `step` is the decision's number.
+        """
         return self._networks.learn(situations, errors, step)
 
 
@@ -154,7 +163,10 @@ class RecentNetworks(Stateful):
         return self._networks.predict(self._agents, inputs)[..., 0]
 
     def learn(self, situations: Tensor, targets: Tensor, step: int) -> Tensor:
-        """Remember a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`."""
+        """Remember a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`.
+
+        Situations are in the unit cube; `step` is the decision's number.
+        """
         place = step % self._training.memory
         self._situations[:, :, place] = situations
         self._targets[:, 0, place] = targets.float()
@@ -179,6 +191,9 @@ def filled_bins(situations: Tensor, bins: Tensor) -> Tensor:
 
 
 def gamma_loss(outputs: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what MP makes smaller, least for log(mean error + `SMALL_ERROR`), and its slope."""
+    """Return what MP makes smaller, least for log(mean error + `SMALL_ERROR`), and its slope.
+
+    All are of one shape; errors are in scaled units.
+    """
     ratio = (errors + SMALL_ERROR) * torch.exp(-outputs)
     return ratio + outputs, 1 - ratio

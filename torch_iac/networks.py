@@ -32,7 +32,6 @@ Weights = dict[str, Tensor]
 ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.Tanh, nn.Sigmoid)
 """Layers that do the same to every number, whatever the shape around it."""
 
-
 MOST_RATE = 1e38
 """Float32 holds no larger step size."""
 
@@ -46,7 +45,7 @@ class MLP:
     """Makes multi-layer perceptrons with ReLU.
 
     Raises:
-        ValueError: A layer has no units.
+        ValueError: A layer has no units or too many.
     """
 
     hidden: tuple[int, ...] = (32, 32)
@@ -59,7 +58,7 @@ class MLP:
             check_count("hidden", units)
 
     def __call__(self, n_inputs: int, n_outputs: int) -> nn.Module:
-        """Return a new network."""
+        """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`."""
         layers: list[nn.Module] = []
         for n_in, n_out in self.sizes(n_inputs, n_outputs):
             layers += [nn.Linear(n_in, n_out), nn.ReLU()]
@@ -72,7 +71,13 @@ class MLP:
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """How networks learn at each decision."""
+    """How networks learn at each decision.
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
+
+    Source: the networks and their numbers are this library's; the papers have none.
+    """
 
     learning_rate: float = 0.01
     """Step size of the optimiser."""
@@ -317,7 +322,7 @@ def pick(examples: Tensor, picks: Tensor) -> Tensor:
 
 
 def squared_error(predictions: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the squared error of each number, and its slope."""
+    """Return the squared error of each prediction, and its slope; all of one shape."""
     difference = predictions - targets
     return difference.square(), difference.mul_(2)
 

@@ -21,9 +21,10 @@ LARGEST_NUMBER = 8
 
 
 def pack(value: Any) -> tuple[dict[str, Tensor], Any]:
-    """Return the tensors of a nested state and the JSON that says where they belong.
+    """Return the tensors of a nested state by name, and the JSON that says where they belong.
 
-    Tensors that are on the CPU already are not copied, unless they share their memory.
+    Shapes are kept. Tensors that are on the CPU already are not copied, unless they share their
+    memory.
 
     Raises:
         TypeError: Something can be in neither.

@@ -14,6 +14,7 @@ from torch_iac.runs import Run, ancestors, children_of
 from torch_iac.space import Dimension, SensorimotorSpace
 
 Values = NDArray[np.float64]
+"""A number a leaf, shape `(L,)`, or a number a leaf and dimension, `(L, D)`."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Partition:
     Attributes:
         space: What has been divided.
         regions: Shape `(L,)`: the number of each leaf.
-        progress: Shape `(L,)`: its learning progress.
+        progress: Shape `(L,)`: its learning progress, in scaled units.
         lows: Shape `(L, D)`.
         highs: Shape `(L, D)`.
     """
@@ -89,7 +90,7 @@ def partition_of(run: Run, step: int | None = None, agent: int = 0) -> Partition
         agent: Whose space.
 
     Raises:
-        ValueError: There is no such decision or agent.
+        ValueError: There is no such decision or agent, or its steps are not recorded.
     """
     step = run.n_decisions if step is None else step
     if not 0 <= step <= run.n_decisions:
@@ -107,7 +108,7 @@ def situation_at(run: Run, step: int, agent: int = 0) -> dict[str, float]:
     In raw units; what a sensor reads outside its bounds the robot takes for the bound.
 
     Raises:
-        ValueError: There is no such decision or agent.
+        ValueError: There is no such decision or agent, or its steps are not recorded.
     """
     if not 0 <= step < run.n_decisions:
         raise ValueError(f"step must lie in [0, {run.n_decisions}), got {step}")

@@ -19,8 +19,8 @@ class ErrorHistory(Stateful):
         progress =   mean(e(n - delay - window + 1) ... e(n - delay))
                    - mean(e(n - window + 1) ... e(n))
 
-    and 0 until there are `delay + window` errors. Each row keeps the running sums of its errors in
-    a ring just long enough for that, in float64.
+    and 0 until there are `delay + window` errors (the papers do not say). Each row keeps the
+    running sums of its errors in a ring just long enough for that, in float64.
 
     Args:
         n_rows: How many leaves there are at first.
@@ -29,7 +29,7 @@ class ErrorHistory(Stateful):
         device: Where the histories are kept.
 
     Attributes:
-        progress: Shape `(L,)`, float64, the last learning progress of each row.
+        progress: Shape `(L,)`, float64, the last learning progress of each row, in scaled units.
 
     Example:
         Errors that fall by a half from two decisions to the next two:
@@ -40,7 +40,8 @@ class ErrorHistory(Stateful):
         >>> history.progress
         tensor([0.4000], dtype=torch.float64)
 
-    Source: Oudeyer and Kaplan (2004), section 2.1.
+    Source: Oudeyer and Kaplan (2004), section 2.1; its mean is over DELAY errors in the text, as
+    here, and over DELAY + 1 in the formula.
     """
 
     tables: ClassVar = {"_n_rows": ("_sums", "_counts", "progress")}
@@ -78,7 +79,7 @@ class ErrorHistory(Stateful):
             errors: Shape `(...)`, float64, in scaled units.
 
         Returns:
-            Shape `(...)`, float64.
+            Shape `(...)`, float64, in scaled units.
         """
         counts = self._counts.take(rows)
         _, sums = self._marked(rows, counts)
@@ -98,10 +99,10 @@ class ErrorHistory(Stateful):
         """Return the mean of the last `window` errors of rows, or of all if they are fewer.
 
         Args:
-            rows: Shape `(L,)`.
+            rows: Shape `(...)`.
 
         Returns:
-            Shape `(L,)`, float64, in scaled units; NaN without any error.
+            Shape `(...)`, float64, in scaled units; NaN without any error.
         """
         counts = self._counts[rows]
         n_errors = counts.clamp(max=self.window)

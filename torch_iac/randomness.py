@@ -20,10 +20,12 @@ class RandomStream:
     """Uniform numbers for each agent and decision.
 
     Args:
-        seeds: One a agent; agents with the same seed draw the same numbers.
+        seeds: One an agent; agents with the same seed draw the same numbers.
         n_numbers: How many numbers an agent needs at a decision.
         stream: Which of the agent's streams; different streams are independent.
         device: Where the numbers are made.
+
+    Source: the finaliser of SplitMix64 (Steele, Lea and Flood, 2014), on counters.
     """
 
     def __init__(

@@ -218,7 +218,8 @@ class Recorder:
             zones: Shape `(A,)`, the zone of the world that each was in; None without zones.
 
         Raises:
-            ValueError: Zones are missing, or there are zones and the world has none.
+            ValueError: Zones are missing, there are zones and the world has none, or there is no
+                such zone (which on a GPU nobody notices).
         """
         if (zones is not None) != self._rows.has_zones:
             raise ValueError("record needs zones if, and only if, the recorder has zone_names")
@@ -238,7 +239,11 @@ class Recorder:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is kept in memory; when it returns, all decisions so far are on disk."""
+        """Write what is kept in memory; when it returns, all decisions so far are on disk.
+
+        Raises:
+            OSError: The disk refuses it.
+        """
         if not self._rows.count:
             return
         self._settle()

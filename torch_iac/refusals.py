@@ -9,14 +9,22 @@ from collections.abc import Iterator
 RULE = re.compile(r"^ *(?:─{5,}|-{5,}) *$", re.MULTILINE)
 """Where stdout is not UTF-8, a box is drawn in ASCII: rules of hyphens, and no sides."""
 NOT_TEXT = re.compile(r"\x1b\[[\d;]*m|[│╭╮╰╯]")
+"""Colours, and the sides and corners of a box."""
 OPTION = re.compile(r"--(?!help)[a-z][\w.-]*")
+"""The name of an option."""
 PART = re.compile(r"^Error parsing (?:[A-Z]\w*: |iac\.)")
+"""What the parser says before the name of an option of a part."""
 HELP = re.compile(r"torch-iac(?: [a-z]+)? --help")
+"""The command that explains the options."""
 
 
 @contextlib.contextmanager
 def plain_refusals() -> Iterator[None]:
-    """Turn what a parser refuses, exit code 2 and a box on stderr, into a `ValueError`."""
+    """Turn what a parser refuses, exit code 2 and a box on stderr, into a `ValueError`.
+
+    Raises:
+        ValueError: The parser refuses; the message is one sentence.
+    """
     written = io.StringIO()
     try:
         with contextlib.redirect_stderr(written):

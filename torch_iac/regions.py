@@ -1,8 +1,10 @@
 """Regions of sensorimotor space: which one a situation is in, and how a full one splits.
 
 The trees of all agents share one table of nodes (a struct of arrays); a node is known by its place
-in it, a *region* by its number within its agent, in order of birth, the root being 0. `F` counts
-the full regions that split at the same decision, one an agent at most.
+in it, a *region* by its number within its agent, in order of birth, the root being 0.
+
+Shapes: `R` nodes, `L` rows of leaves (see `examples`), `F` full regions that split at the same
+decision, one an agent at most.
 """
 
 import math
@@ -55,7 +57,7 @@ class Split:
     Attributes:
         rows: Shape `(F,)`, the left children's rows, which were their parents'.
         new_rows: Shape `(F,)`, the right children's rows.
-        agents: Shape `(F,)`.
+        agents: Shape `(F,)`, whose regions they are.
         left_regions: Shape `(F,)`, the left children's numbers; the right ones' are one more.
         n_rows: How many rows there are now, over all agents.
     """
@@ -69,7 +71,7 @@ class Split:
 
 @dataclass(frozen=True)
 class Genealogy:
-    """Every region ever made, by agent, then region; columns of equal length, on the CPU.
+    """Every region ever made, by agent, then region; columns of shape `(regions,)`, on the CPU.
 
     Attributes:
         agent: Place of the agent in the population.
@@ -122,11 +124,28 @@ class RegionTree(Stateful):
     situation may lie to the seven cuts, at which node it leaves the bundle. A leaf is a bundle
     without cuts that leads to itself.
 
+    Args:
+        n_agents: How many agents there are.
+        device: Where the trees are kept.
+
     Attributes:
-        rows: Shape `(R,)`, the row of each leaf in the tables of examples and errors.
-        region: Shape `(R,)`, each node's number within its agent.
         n_nodes: How many nodes there are, over all agents.
         n_rows: How many leaves there are, over all agents.
+        roots: Shape `(A,)`, the root of each agent.
+        rows: Shape `(R,)`, the row of each leaf in the tables of examples and errors. Of all that
+            has this shape, only the first `n_nodes` are in use.
+        agent: Shape `(R,)`, whose node it is.
+        region: Shape `(R,)`, each node's number within its agent.
+        parent: Shape `(R,)`, a node; `NONE` for a root.
+        depth: Shape `(R,)`, how many cuts separate it from its root.
+        born_step: Shape `(R,)`, the decision that made it.
+        split_step: Shape `(R,)`, the decision that split it; `NONE` for a leaf.
+        split_count: Shape `(R,)`, how many examples it held when it split.
+        cut_dimension: Shape `(R,)`, of the situation; `NONE` for a leaf.
+        cut_value: Shape `(R,)`, in the unit cube; NaN for a leaf.
+
+    Source: Oudeyer and Kaplan (2004), section 2.1: experts keep the cut values that made them. The
+    bundles are this library's.
     """
 
     saved = ("n_rows", "_n_regions", "_n_bundle_levels")
@@ -265,7 +284,7 @@ class RegionTree(Stateful):
         return firsts
 
     def leaves(self) -> Tensor:
-        """Return the nodes that are leaves, by agent, then region."""
+        """Return the nodes that are leaves, by agent, then region, shape `(leaves,)`."""
         nodes = self._in_order()
         return nodes[self.split_step[nodes] == NONE]
 
@@ -350,7 +369,8 @@ def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:
         >>> best_cut(situations, outcomes, balance=0.15).value
         tensor([0.5000])
 
-    Source: Oudeyer and Kaplan (2004), section 2.1, criterion C2.
+    Source: Oudeyer and Kaplan (2004), section 2.1, criterion C2, which does not say where cuts may
+    be nor how ties are decided.
     """
     if not 0 <= balance <= 0.5:
         raise ValueError(f"balance must lie in [0, 0.5], got {balance}")

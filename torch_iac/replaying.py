@@ -29,7 +29,7 @@ class Replayed(VectorWrapper):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start the worlds, from seeds if they are to be saved."""
+        """Start the worlds, from a list of seeds, one a world, if they are to be saved."""
         self._sensors, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._seeds = [each for each in seed if each is not None] if isinstance(seed, list) else []
         self._actions.clear()
@@ -42,7 +42,9 @@ class Replayed(VectorWrapper):
         return self._sensors, rewards, terminated, truncated, info
 
     def get_state(self) -> dict[str, Any]:
-        """Return the seeds, all actions since, and what the sensors read now.
+        """Return `seeds`, a list; `actions`, all since; `sensors`, what they read now.
+
+        Actions have shape `(n, A, action_dim)`, sensors `(A, sensor_dim)`, in raw units.
 
         Raises:
             ValueError: The worlds were not started from a list of seeds.

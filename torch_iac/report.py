@@ -30,6 +30,7 @@ REPORT = "report.md"
 MEASURES = "measures.parquet"
 DIFFERENCES = "differences.parquet"
 CURVES = "curves.parquet"
+"""What the files of a report are called."""
 
 MOST_PAIRED = 4
 """With more variants, the report sets each against the first only; the file has all pairs."""

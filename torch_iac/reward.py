@@ -25,6 +25,7 @@ from torch_iac.episodes import outcome_of
 from torch_iac.space import SensorimotorSpace
 
 Array: TypeAlias = NDArray[Any]
+"""An action, shape `(action_dim,)`, or an observation, `(sensor_dim,)`, in raw units."""
 
 When: TypeAlias = Literal["learnt", "chosen"]
 """When an action's worth is asked for: after the experts learnt from it, or before."""
@@ -36,7 +37,7 @@ INFO = "iac"
 class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordConstructorArgs):
     """A world whose reward is the learning progress of experts that look on.
 
-        reward = scale * LP of the region that holds (action, sensors)
+        reward = scale * LP of the region that holds (action, sensors), in scaled units
 
     With another drive in the config it is what the action is worth to that drive. Actions,
     observations and their spaces are the world's own. The experts keep what they know from one
@@ -110,6 +111,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
         Raises:
             ResetNeeded: The world was not reset.
             ValueError: An action or a sensor is outside its bounds.
+            FloatingPointError: A loss is not finite.
         """
         self._onlooker.take(np.asarray(action)[None])
         observation, world_reward, terminated, truncated, info = self.env.step(action)
@@ -141,7 +143,8 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         last: What came of the last transitions; None before the first ones.
 
     Raises:
-        ValueError: As for `ProgressReward`, or there are not as many seeds as worlds.
+        ValueError: As for `ProgressReward`, or there are not as many seeds as worlds, or the device
+            is not there.
     """
 
     def __init__(
@@ -189,6 +192,7 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
             ResetNeeded: The worlds were not reset.
             ValueError: An action or a sensor is outside its bounds, or an episode ended in worlds
                 that do not show its end.
+            FloatingPointError: A loss is not finite.
         """
         self._onlooker.take(actions)
         sensors, world_rewards, terminated, truncated, info = self.env.step(actions)

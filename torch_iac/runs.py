@@ -1,6 +1,7 @@
 """Reads a run folder back: its config, decisions and regions, and how they went over time.
 
-Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions.
+Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regions of an agent, `P`
+points of a curve.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,11 +27,13 @@ REGIONS = "regions.parquet"
 SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
 EVENTS = "events.out.tfevents.*"
+"""What the files and folders in a run folder are called; the last are TensorBoard's."""
 
 MAIN = "main"
 """What the experts that the robot acts on are called beside their shadows."""
 
 N_DECILES = 10
+"""Into how many parts expectations are sorted."""
 
 WINDOW = 250
 """How many decisions a window of time holds, if nobody says otherwise; and the windows in which
@@ -64,7 +67,7 @@ def shadow_error(name: str) -> str:
 
 
 def tallied_fields(shadows: Sequence[str]) -> list[str]:
-    """Return the columns of the steps that windows sum up."""
+    """Return the columns of the steps that windows sum up, those of the shadows last."""
     return ["error", "expected_error", "progress", *map(shadow_error, shadows)]
 
 
@@ -178,12 +181,20 @@ class Run:
         Rows are by step, then agent; of the first `n_recorded` agents.
 
         For a big run, ask for what you need: `table` and `column`.
+
+        Raises:
+            FileNotFoundError: There are no decisions yet, or a part is missing.
+            ValueError: A part cannot be read.
         """
         return self.table()
 
     @cached_property
     def regions(self) -> pa.Table:
-        """Every region ever made, by agent, then region."""
+        """Every region ever made, by agent, then region; cuts in raw units.
+
+        Raises:
+            ValueError: The file is not there or cannot be read.
+        """
         return _read_part(self.folder / REGIONS)
 
     @cached_property
@@ -191,6 +202,10 @@ class Run:
         """What every agent did, recorded or not, in each `WINDOW` decisions; shape `(W, A, Z)`.
 
         The last window has fewer decisions if the run does not end with it.
+
+        Raises:
+            FileNotFoundError: There are no windows yet, or a part is missing.
+            ValueError: A part cannot be read.
         """
         parts = [_read_part(path) for path in self.parts(WINDOWS)]
         firsts = np.concatenate([_first_decisions(part) for part in parts])
@@ -243,12 +258,20 @@ class Run:
         )
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one column of the recorded agents, the first, shape `(T, A)`; nulls are NaN."""
+        """Return one column of the recorded agents, the first, shape `(T, A)`; nulls are NaN.
+
+        Raises:
+            ValueError: There is no such column, or a part cannot be read.
+        """
         values: NDArray[Any] = self.table([name])[name].to_numpy()
         return values.reshape(-1, self.n_recorded)
 
     def family(self, agent: int = 0) -> pa.Table:
-        """Return the regions of one agent; row `i` is region `i`."""
+        """Return the regions of one agent; row `i` is region `i`.
+
+        Raises:
+            ValueError: There is no such agent.
+        """
         self._check_agent(agent)
         return self.regions.filter(pc.field("agent") == agent)
 
@@ -296,6 +319,11 @@ def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[Er
         agent: Whose regions.
         window: How many of the region's last errors the mean is over, fewer while it has fewer;
             the run's own `error_window` if none is given.
+
+    Raises:
+        ValueError: There is no such agent, or its steps are not recorded.
+
+    Source: Oudeyer and Kaplan (2004), figure 2.
     """
     window = run.error_window if window is None else window
     steps = run.table(["error", "region"], agent)
@@ -326,7 +354,12 @@ def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[Er
 
 
 def ancestors(run: Run, region: int, agent: int = 0) -> tuple[int, ...]:
-    """Return a region's parent, its parent's parent and so on to the root."""
+    """Return a region's parent, its parent's parent and so on to the root.
+
+    Raises:
+        ValueError: There is no such agent.
+        IndexError: It has no such region.
+    """
     parents = run.family(agent)["parent"].to_numpy()
     line = []
     while (region := int(parents[region])) >= 0:
@@ -335,7 +368,11 @@ def ancestors(run: Run, region: int, agent: int = 0) -> tuple[int, ...]:
 
 
 def children_of(family: Sequence[Mapping[str, Any]]) -> dict[int, list[int]]:
-    """Return the children of each region of an agent: the one below its cut, the one above."""
+    """Return the children of each region of an agent: the one below its cut, the one above.
+
+    Args:
+        family: The rows of `Run.family`; the root is the only child of -1.
+    """
     children: dict[int, list[int]] = {}
     for row in family:  # the child below the cut comes first
         children.setdefault(row["parent"], []).append(row["region"])
@@ -346,6 +383,10 @@ def region_bounds(run: Run, region: int, agent: int = 0) -> dict[str, tuple[floa
     """Return where a region lies: its bounds, in raw units, in each dimension that was cut for it.
 
     Dimensions are in the order of the first cut along each, from the root on.
+
+    Raises:
+        ValueError: There is no such agent.
+        IndexError: It has no such region.
     """
     family = run.family(agent).to_pylist()
     children = children_of(family)
@@ -373,7 +414,11 @@ class RegionZones:
 
 
 def region_zones(run: Run, agent: int = 0) -> RegionZones:
-    """Return the zone that each region of an agent mostly covers."""
+    """Return the zone that each region of an agent mostly covers, in a world with zones.
+
+    Raises:
+        ValueError: There is no such agent, its steps are not recorded, or there are no zones.
+    """
     steps = run.table(["region", "zone"], agent)
     counts = np.zeros((run.family(agent).num_rows, len(run.zone_names)))
     np.add.at(counts, (steps["region"].to_numpy(), steps["zone"].to_numpy()), 1)
@@ -426,6 +471,8 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
 
     Raises:
         ValueError: The world has no zones, or the window is none that was kept.
+
+    Source: Oudeyer and Kaplan (2004), figure 3.
     """
     if not run.zone_names:
         raise ValueError(f"the world of {run.folder} has no zones, so it has no shares of them")
@@ -441,7 +488,8 @@ def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArra
         window: Decisions a window, as `zone_shares` has it.
 
     Returns:
-        Shape `(W, A, Z)`; NaN where an agent was not there. Without zones, one stands for all.
+        Shape `(W, A, Z)`, in scaled units; NaN where an agent was not there. Without zones, one
+        stands for all.
 
     Raises:
         ValueError: The window is none that was kept.
@@ -509,7 +557,13 @@ def by_decile(
 def known_mean(
     values: NDArray[Any], axis: int | None = None, where: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing."""
+    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing.
+
+    Args:
+        values: Any shape.
+        axis: Along which the mean is taken, and which goes; along all if none is given.
+        where: The shape of `values`, which of them count; all if not given.
+    """
     counted = np.isfinite(values) if where is None else where & np.isfinite(values)
     n_counted = counted.sum(axis=axis)
     total = np.sum(values, axis=axis, where=counted, dtype=np.float64)
@@ -522,6 +576,9 @@ def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list
 
     Returns:
         The first decision of that window, agent by agent; None for an agent that never does.
+
+    Raises:
+        ValueError: The world has no such zone, or the window is none that was kept.
     """
     focused = zone_shares(run, window)[:, :, run.zone_names.index(zone)] > share
     return [int(mine.argmax()) * window if mine.any() else None for mine in focused.T]

@@ -58,6 +58,11 @@ def find_stages(run: Run, agent: int = 0, n_decisions: int = N_DECISIONS) -> lis
 
     A focus is looked at in the middle of the first window that has it (`measures.FOCUS_SHARES`);
     one that never comes is left out.
+
+    Args:
+        run: The run.
+        agent: Which robot.
+        n_decisions: How many decisions a stage has, at most.
     """
     starts = {"The beginning": 0}
     for zone, share in FOCUS_SHARES.items():

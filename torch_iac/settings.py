@@ -39,6 +39,7 @@ from torch_iac.training import CHECKPOINT_EVERY, World
 from torch_iac.worlds import OUTCOMES, WORLDS, make_world, parse_options
 
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
+"""What the kinds of experts are called."""
 DRIVES: dict[str, type[Drive]] = {
     "progress": Progress,
     "meta_progress": MetaProgress,
@@ -50,11 +51,13 @@ DRIVES: dict[str, type[Drive]] = {
     "curriculum": Curriculum,
     "random": Random,
 }
+"""What the drives are called."""
 CHOICES: dict[str, type[Choice]] = {
     "greedy": Greedy,
     "proportional": Proportional,
     "softmax": Softmax,
 }
+"""What the choices are called."""
 ExpertsName = Literal["knn", "mlp"]
 ChoiceName = Literal["greedy", "proportional", "softmax"]
 DriveName = Literal[
@@ -68,6 +71,7 @@ DriveName = Literal[
     "curriculum",
     "random",
 ]
+"""The same names, for the parser."""
 
 SEEDS = 2**32
 """Seeds lie below; every random number generator takes them."""
@@ -95,6 +99,7 @@ class Settings(IACConfig):
     choice: Annotated[Any, Plain] = field(default_factory=Greedy)
     """Which candidate is taken, given what each is worth."""
     shadows: tyro.conf.Suppress[Mapping[str, Experts]] = field(default_factory=dict)
+    """No option here: `Train` has it."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,9 @@ class Train:
 
     The run folder holds every decision, every region, TensorBoard's files, a summary and the
     paper's figures.
+
+    Raises:
+        ValueError: A number is out of its range; the message names it, the rule and the value.
     """
 
     world: str = "toyroom"
@@ -155,6 +163,7 @@ class Train:
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
     iac: Annotated[Settings, Plain] = field(default_factory=Settings)
+    """The engine's numbers."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
@@ -167,7 +176,14 @@ class Train:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
 
     def check(self, elsewhere: bool = False) -> None:
-        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere."""
+        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere.
+
+        Args:
+            elsewhere: Whether the run will be on another machine, with devices of its own.
+
+        Raises:
+            ValueError: It is refused.
+        """
         settings = replace(self, device="cpu") if elsewhere else self
         settings.space(settings.bounds())
 
@@ -175,19 +191,30 @@ class Train:
         """Return what the sensors are clipped to; None if the world has bounds of its own.
 
         The world is begun once: one that cannot be is known before there is a run.
+
+        Raises:
+            ValueError: The world or the bounds that were given are refused.
         """
         with closing(self.make_world(1)) as world:
             world.reset(seed=self.seed)
             return bounds_of(world, parse_bounds(self.sensor_bounds), self.bounds_from)
 
     def space(self, bounds: Bounds | None) -> SensorimotorSpace:
-        """Return what the robots do, sense and predict, from a single world with these bounds."""
+        """Return what the robots do, sense and predict, from a single world with these bounds.
+
+        Raises:
+            ValueError: The world is refused, or no space can be made of it.
+        """
         outcomes = self.outcomes or OUTCOMES.get(self.world, ("all",))
         with closing(self.make_world(1, bounds)) as world:
             return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
 
     def make_world(self, n_worlds: int, bounds: Bounds | None = None) -> World:
-        """Return as many worlds as asked for, with these bounds for sensors."""
+        """Return as many worlds as asked for, with these bounds for sensors.
+
+        Raises:
+            ValueError: The world or one of its options is refused.
+        """
         options, device = self.parsed_options(), self.torch_device()
         return make_world(self.world, n_worlds, options, device, self.hold, bounds)
 
@@ -201,14 +228,22 @@ class Train:
         return replace(self.iac, shadows={name: EXPERTS[name]() for name in self.shadows})
 
     def torch_device(self) -> torch.device:
-        """Return the device by its name; auto is cuda if there is one."""
+        """Return the device by its name; auto is cuda if there is one.
+
+        Raises:
+            ValueError: This machine has no such device.
+        """
         name = self.device
         if name == "auto":
             name = "cuda" if torch.cuda.is_available() else "cpu"
         return available_device(name)
 
     def parsed_options(self) -> dict[str, Any]:
-        """Return the arguments of the world by name."""
+        """Return the arguments of the world by name.
+
+        Raises:
+            ValueError: One is not written name=value.
+        """
         return parse_options(self.world_options)
 
     def n_recorded(self) -> int:

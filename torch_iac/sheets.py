@@ -23,6 +23,7 @@ from torch_iac.scenes import Stage
 from torch_iac.space import Dimension
 
 Frame = NDArray[np.uint8]
+"""A picture, shape `(height, width, 3)`: red, green and blue."""
 
 WIDTH, HEIGHT = 1280, 720
 """Of a sheet (pixels)."""
@@ -46,6 +47,7 @@ LINE = 62
 """How many letters a line of small text has at most."""
 
 UNBROKEN = "\N{NO-BREAK SPACE}"
+"""Keeps words on one line."""
 
 PREDICTED, OUTCOME = "#E69F00", "#000000"
 """Orange and black: markers."""
@@ -66,6 +68,7 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+"""How all sheets look."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ class Sheets:
     world: Mapping[str, Any] = field(default_factory=dict)
 
     def card(self, stage: Stage) -> Frame:
-        """Return the title of a stage."""
+        """Return the title of a stage, shape `(720, 1280, 3)`."""
         last = stage.first + stage.n_decisions - 1
         with mpl.rc_context(STYLE):
             figure = _blank()
@@ -95,7 +98,15 @@ class Sheets:
             return _drawn(figure)
 
     def sheet(self, row: Mapping[str, Any], stage: Stage) -> Frame:
-        """Return what there is to say of a decision, with a place for the room."""
+        """Return what there is to say of a decision, with a place for the room.
+
+        Args:
+            row: What was recorded of it, by column.
+            stage: What it belongs to.
+
+        Returns:
+            Shape `(720, 1280, 3)`.
+        """
         with mpl.rc_context(STYLE):
             figure = _blank()
             _write(figure, ROOM_AT[0], 20, stage.title, fontsize=24, fontweight="bold")

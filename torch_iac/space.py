@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 WorldOrWorlds = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
+"""A single world of Gymnasium, or a vector of them."""
 
 UNIT_STEP = 2.0**-23
 """Scaled values are multiples of this. So every one of them, every midpoint of two of them and
@@ -30,7 +31,12 @@ bound: beyond, float32 overflows, or tells only a few values in the range apart.
 
 @dataclass(frozen=True)
 class Dimension:
-    """One wire of the robot: its name and its bounds in raw units.
+    """One wire of the robot: its name and its bounds.
+
+    Attributes:
+        name: What it is called.
+        low: Its least value, in raw units.
+        high: Its greatest value, in raw units.
 
     Raises:
         ValueError: The bounds are not finite, not in order, or too large or too close for float32.
@@ -92,12 +98,11 @@ class Scale:
         """Return which values `(..., n)` `contains` objects to."""
         return raw.clamp(self._least, self._most) != raw  # NaN differs from itself
 
-    def check(self, raw: Tensor, what: str, whose: str) -> None:
+    def check(self, raw: Tensor, whose: str) -> None:
         """Refuse values `(n_rows, n)` that `contains` objects to.
 
         Args:
             raw: The values.
-            what: What a column is, such as "sensor".
             whose: What a row is, such as "agent".
 
         Raises:
@@ -109,7 +114,7 @@ class Scale:
         name, low, high = astuple(self.dimensions[column])
         value = raw[row, column].item()
         raise ValueError(
-            f"{what} {name} must lie in [{low:g}, {high:g}], got {value:g} from {whose} {row}"
+            f"{name} must lie in [{low:g}, {high:g}], got {value:g} from {whose} {row}"
         )
 
 
@@ -118,7 +123,8 @@ class SensorimotorSpace:
     """What the robot does (actions), senses (sensors) and predicts (outcomes).
 
     A *situation* is the action followed by the sensors, scaled to the unit cube. An *outcome* is
-    what some of the sensors will read after the action.
+    what some of the sensors will read after the action. The papers do not say how dimensions
+    compare; here each is scaled by its bounds.
 
     Attributes:
         actions: The action dimensions, in the order of the world's action vector.
@@ -186,11 +192,14 @@ class SensorimotorSpace:
 
     @property
     def outcome_columns(self) -> tuple[int, ...]:
-        """Where in the sensors each outcome stands."""
+        """Where among the sensors each outcome stands, counted from 0."""
         return tuple(self.sensors.index(outcome) for outcome in self.outcomes)
 
     def to_json(self) -> dict[str, dict[str, list[float]]]:
-        """Return each name with its bounds, under `actions`, `sensors` and `outcomes`."""
+        """Return each name with its bounds in raw units, `[low, high]`.
+
+        They are under `actions`, `sensors` and `outcomes`.
+        """
         return {
             kind: {d.name: [d.low, d.high] for d in getattr(self, kind)}
             for kind in ("actions", "sensors", "outcomes")
@@ -198,7 +207,12 @@ class SensorimotorSpace:
 
     @classmethod
     def from_json(cls, bounds: Mapping[str, Mapping[str, Sequence[float]]]) -> Self:
-        """Return the space that `to_json` wrote."""
+        """Return the space that `to_json` wrote.
+
+        Raises:
+            KeyError: `actions`, `sensors` or `outcomes` is missing.
+            ValueError: The bounds, or all of it, make no space.
+        """
         return cls(
             *(
                 tuple(Dimension(name, low, high) for name, (low, high) in bounds[kind].items())

@@ -41,7 +41,7 @@ class Tally:
         return Tally(self.counts.sum(axis=axes, keepdims=True), sums)
 
     def means(self, column: str) -> NDArray[np.float64]:
-        """Return the mean of a column in each cell; NaN in one without decisions."""
+        """Return the mean of a column, shape `(..., A, Z)`; NaN in a zone without decisions."""
         nothing = np.full(self.counts.shape, np.nan)
         means = np.divide(self.sums[column], self.counts, out=nothing, where=self.counts > 0)
         return np.asarray(means)
@@ -95,11 +95,11 @@ class RunningTally:
         return taken
 
     def state(self) -> Tensor:
-        """Return what was counted in since the last time, to go on from it."""
+        """Return what was counted in since the last time, shape `(1 + F, A * Z)`."""
         return self._sums.clone()
 
     def load_state(self, state: Tensor) -> None:
-        """Go on from what `state` returned."""
+        """Go on from what `state` returned, shape `(1 + F, A * Z)`."""
         self._sums.copy_(state)
 
     def _check(self, zones: Tensor) -> None:

@@ -16,9 +16,10 @@ from torch_iac.episodes import outcome_of
 from torch_iac.recording import Recorder
 
 World = gym.vector.VectorEnv[Any, Any, Any]
+"""Worlds side by side, one an agent; sensors have shape `(A, sensor_dim)`, in raw units."""
 
 SECONDS_BETWEEN_LINES = 10.0
-"""How often the log speaks of the run where there is no terminal for a progress bar."""
+"""How often (s) the log speaks of the run where there is no terminal for a progress bar."""
 
 CHECKPOINT_EVERY = 1000
 """How many decisions lie between two checkpoints, if nobody says otherwise."""
@@ -65,6 +66,7 @@ def train(
         ValueError: The number of worlds is not that of the agents, fewer decisions are to be
             taken than were already, the world cannot be saved, a checkpoint does not fit, or a
             world whose episodes end was not made with `AutoresetMode.SAME_STEP`.
+        FloatingPointError: A loss is not finite.
     """
     if env.num_envs != agent.n_agents:
         raise ValueError(

@@ -19,7 +19,7 @@ from torch_iac.scenes import Scene
 from torch_iac.sheets import HEIGHT, ROOM, ROOM_AT, WIDTH, Frame, Sheets
 
 CARD_SECONDS = 1.5
-"""How long the title of a stage stands."""
+"""How long (s) the title of a stage stands."""
 
 SMALL = (800, 450)
 """Width and height of a film for web pages (pixels)."""
@@ -47,7 +47,10 @@ class Film:
     world: Mapping[str, Any] = field(default_factory=dict)
 
     def frames(self, scenes: Iterable[Scene]) -> Iterator[Frame]:
-        """Return what the film shows: a title for each stage, and every picture of each scene."""
+        """Return what the film shows: a title for each stage, and every picture of each scene.
+
+        Each frame has shape `(720, 1280, 3)`.
+        """
         sheets, stage = Sheets(self.run, self.agent, self.world), None
         for scene in scenes:
             if scene.stage != stage:
@@ -75,6 +78,7 @@ class Film:
 
 
 Writer = Callable[[Path, Iterable[Frame], int], None]
+"""Writes a film: where, its frames, and how many of them are a second."""
 
 
 def writer_for(path: Path) -> Writer:

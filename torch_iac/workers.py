@@ -67,7 +67,13 @@ def carry_out(sizes: Mapping[Job, int], crew: Crew, stop: Callable[[], bool]) ->
 
 
 def on_processes(jobs: Sequence[Job], live: Live, n_processes: int) -> Crew:
-    """Carry runs out in processes of this machine; one that dies takes only its own run with it."""
+    """Carry runs out in processes of this machine; one that dies takes only its own run with it.
+
+    Args:
+        jobs: The runs.
+        live: What makes a run; it must be picklable.
+        n_processes: How many go on at once.
+    """
     waiting = deque(jobs)
     crew = [_Worker(live) for _ in range(min(n_processes, len(jobs)))]
     try:

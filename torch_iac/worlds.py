@@ -24,7 +24,9 @@ WORLDS = {
     "toyroom": "torch_iac_envs/ToyRoom-v0",
     "kinematic": "torch_iac_envs/ToyRoomKinematic-v0",
 }
+"""What the toy rooms are called here, and by Gymnasium."""
 OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
+"""What is predicted in them, as in the papers, if nobody says otherwise."""
 WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
 """What a world takes in the main memory; with pybullet it is a whole physics engine."""
 OTHER_WORLD_BYTES = 1_000_000
@@ -172,7 +174,11 @@ def _is_a(kind: Any, value: object) -> bool:
 
 
 def parse_options(pairs: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of a world, written as name=value, the value in JSON or plain text."""
+    """Return the arguments of a world, written as name=value, the value in JSON or plain text.
+
+    Raises:
+        ValueError: One is not written so.
+    """
     options = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

@@ -14,18 +14,26 @@ import pybullet as p
 
 from torch_iac_envs.room import ACCELERATION, Room
 
-GRAVITY = 9.81  # m/s2
-SLICE = 0.1  # s that one call of the engine advances; a decision is a whole number of them
+GRAVITY = 9.81
+"""In m/s2."""
+SLICE = 0.1
+"""How much time one call of the engine advances (s); a decision is a whole number of them."""
 SOLVER_ITERATIONS = 15
+"""How often the engine's solver goes over all contacts in a physics step."""
 
-ROBOT_MASS, WHEEL_MASS, TOY_MASS = 2.0, 0.1, 0.1  # kg
-CHASSIS_HEIGHT = 0.08  # m
-SKID_RADIUS = 0.02  # m
-SKID_CLEARANCE = 0.001  # m; without it the skids would carry the weight that gives wheels grip
-WALL_THICKNESS = 0.06  # m, of the picture only
+ROBOT_MASS, WHEEL_MASS, TOY_MASS = 2.0, 0.1, 0.1
+"""Of the chassis, of each wheel and of the ball (kg)."""
+CHASSIS_HEIGHT = 0.08
+"""In m."""
+SKID_RADIUS = 0.02
+"""In m."""
+SKID_CLEARANCE = 0.001
+"""Over the floor (m); without it the skids would carry the weight that gives wheels grip."""
+WALL_THICKNESS = 0.06
+"""In m, of the picture only."""
 
-# Collision groups, and which of them each may touch. The engine puts every ray in group 1.
 RAY, FLOOR, WALL, CHASSIS, WHEEL, TOY = 1, 2, 4, 8, 16, 32
+"""Collision groups; the engine puts every ray in group 1."""
 TOUCHES = {
     FLOOR: CHASSIS | WHEEL | TOY,
     WALL: CHASSIS | TOY | RAY,
@@ -33,9 +41,11 @@ TOUCHES = {
     WHEEL: FLOOR,
     TOY: FLOOR | WALL | RAY,
 }
-# The engine multiplies the two bodies' numbers: floor and wheel 1.5, floor and skid 0.025.
+"""Which groups each may touch."""
 FRICTION = {FLOOR: 0.5, WALL: 2.0, CHASSIS: 0.05, WHEEL: 3.0, TOY: 0.02}
+"""The engine multiplies the two bodies' numbers: floor and wheel 1.5, floor and skid 0.025."""
 BOUNCE = {FLOOR: 0.0, WALL: 1.0, CHASSIS: 0.0, WHEEL: 0.0, TOY: 0.9}
+"""What is left of the speed towards each other; again the two bodies' product."""
 
 SAND, SLATE, BLUE, WHITE, DARK, RED = (
     (0.86, 0.82, 0.74, 1.0),
@@ -45,9 +55,12 @@ SAND, SLATE, BLUE, WHITE, DARK, RED = (
     (0.12, 0.13, 0.15, 1.0),
     (0.90, 0.25, 0.16, 1.0),
 )
+"""Red, green, blue and opacity, in [0, 1]."""
 
 Client = dict[str, int]
+"""The keyword argument that tells pybullet which client is meant."""
 Point = tuple[float, float, float]
+"""Its x, y and z (m)."""
 
 
 def build(client: Client, room: Room, substeps: int) -> tuple[int, int]:

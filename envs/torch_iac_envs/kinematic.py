@@ -23,15 +23,19 @@ from torch_iac_envs.room import Picture, Room, check_argument
 if TYPE_CHECKING:
     from torch_iac_envs.physics import Physics
 
-SLICE = 0.025  # s that the robot's motion is advanced by; a decision is a whole number of them
-CLEARANCE = 0.001  # m; rounding does not decide whether a wall is looked at
-WALL_FRICTION = 0.1  # of the chassis on a wall
-# What a wall leaves of the toy's speed towards it. Less than the engine is told (0.9), because it
-# loses speed when it keeps a fast toy from tunnelling; of 0.4 to 1, this comes nearest to where the
-# engine's toys land.
+SLICE = 0.025
+"""How much time the robot's motion advances at once (s); a decision is a whole number of them."""
+CLEARANCE = 0.001
+"""In m; rounding does not decide whether a wall is looked at."""
+WALL_FRICTION = 0.1
+"""Of the chassis on a wall."""
 TOY_BOUNCE = 0.65
+"""What a wall leaves of the toy's speed towards it. Less than the engine is told (0.9), because it
+loses speed when it keeps a fast toy from tunnelling; of 0.4 to 1, this comes nearest to where the
+engine's toys land."""
 
 State = dict[str, Tensor]
+"""What `get_state` returns; it says the shapes."""
 
 
 class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tensor]):
@@ -61,9 +65,13 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
 
     Attributes:
         room: The room's measures, a `Room`.
+        device: Where the worlds are.
+        metadata: As that of `ToyRoom`; `"autoreset_mode"` says that no episode ends.
 
     Raises:
         ValueError: An argument is outside its range.
+
+    Source: Oudeyer and Kaplan (2004), section 2.2, as `ToyRoom`; the arithmetic is this library's.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the type that VectorEnv declares
@@ -143,6 +151,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
                 Without it each world's random numbers go on; the first time they start anywhere.
             options: Not used.
 
+        Returns:
+            What is sensed, shape `(A, sensors)`, distances in metres; and nothing.
+
         Raises:
             ValueError: There are not as many seeds as worlds.
         """
@@ -165,7 +176,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
             actions: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(A, 3)`.
 
         Returns:
-            What is sensed afterwards, rewards of 0, False, False and the sounds' zones.
+            What is sensed afterwards, shape `(A, sensors)`, distances in metres; and, of shape
+            `(A,)`, rewards of 0, False, False and, in `info["zone"]`, the sounds' zones (0, 1, 2).
 
         Raises:
             RuntimeError: The worlds were not reset.
@@ -187,6 +199,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         """Return a picture of each world, shape `(height, width, 3)`, if the mode is so.
 
         Robots and toys are put into the room of `ToyRoom` to be seen.
+
+        Raises:
+            RuntimeError: The worlds were not reset.
         """
         if self.render_mode is None:
             return None
@@ -213,8 +228,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         """Return all that the future depends on, as a dict of tensors.
 
         `robot` holds each robot's x, y (m) and heading (rad), shape `(A, 3)`; `toy` each toy's x
-        and y, shape `(A, 2)`; `seeds` the worlds' seeds, shape `(A,)`; `moment` how often numbers
-        were drawn from them.
+        and y (m), shape `(A, 2)`; `seeds` the worlds' seeds, shape `(A,)`; `moment` how often
+        numbers were drawn from them.
 
         Raises:
             RuntimeError: The worlds were not reset.
@@ -231,6 +246,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         """Go on from what `get_state` returned, exactly; the arguments must be the same as then.
 
         Raises:
+            KeyError: A part of the state is missing.
             ValueError: The state is not that of as many worlds.
         """
         for name, shape in (("robot", (3,)), ("toy", (2,)), ("seeds", ())):
@@ -317,15 +333,15 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
 
 
 def drive(room: Room, position: Tensor, heading: Tensor, speeds: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where the robots are after one decision, `(W, A)`, and their headings, `(A,)`.
+    """Return where robots are after a decision (m), `(W, A)`, and their headings (rad), `(A,)`.
 
     The wheels never slip. A motor changes its wheel's speed by `ACCELERATION` at most, a wall
     takes from the wheels what would drive a corner of the chassis into it.
 
     Args:
         room: The room's measures.
-        position: The robots' centres, shape `(W, A)`.
-        heading: Shape `(A,)`.
+        position: The robots' centres, shape `(W, A)` (m); the room's centre is the origin.
+        heading: Anticlockwise from the x axis, shape `(A,)` (rad).
         speeds: Left and right wheel's speed, as a share of full speed, shape `(W, A)`.
     """
     driven = speeds * (room.full_speed * SLICE)
@@ -408,10 +424,10 @@ def roll(place: Tensor, velocity: Tensor, seconds: float, reach: float) -> Tenso
     after `2 * reach / speed`, and each bounce leaves `TOY_BOUNCE` of the speed: a geometric series.
 
     Args:
-        place: Where it starts, in [-reach, reach].
-        velocity: With which it starts.
-        seconds: How long it rolls.
-        reach: How far from the middle it can get.
+        place: Where it starts, in [-reach, reach] (m).
+        velocity: With which it starts (m/s).
+        seconds: How long it rolls (s).
+        reach: How far from the middle it can get (m).
     """
     speed, onwards = velocity.abs(), torch.where(velocity < 0, -1.0, 1.0)
     travel = speed * seconds
@@ -427,7 +443,13 @@ def roll(place: Tensor, velocity: Tensor, seconds: float, reach: float) -> Tenso
 
 
 def wall_distances(room: Room, position: Tensor, directions: Tensor) -> Tensor:
-    """Return how far the walls are from `position`, `(W, A)`, along `directions`, `(beams, A)`."""
+    """Return how far the walls are (m), shape `(beams, A)`.
+
+    Args:
+        room: The room's measures.
+        position: From where, shape `(W, A)` (m); the room's centre is the origin.
+        directions: Anticlockwise from the x axis, shape `(beams, A)` (rad).
+    """
     across, along = (
         (room.side / 2 - cosine.sign() * coordinate) / cosine.abs()
         for cosine, coordinate in zip((directions.cos(), directions.sin()), position, strict=True)

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from torch_iac_envs.bodies import SLICE, build, motor_torque
 from torch_iac_envs.room import TOY_ROLL, Picture, Room
 
-STATE_DIM = 30  # robot's pose 7 and velocity 6, two wheels' angle and speed, toy's pose, velocity
+STATE_DIM = 30
+"""Robot's pose 7 and velocity 6, two wheels' angle and speed 4, toy's pose 7 and velocity 6."""
 
-# The camera, in halves of the room's side, and the height of what it sees, in degrees.
 EYE, TARGET, FIELD_OF_VIEW = (0.0, -1.5, 2.1), (0.0, -0.08, 0.0), 50.0
+"""Where the camera is and looks, in halves of the room's side; how high a view it has (degrees)."""
 
 Vector = NDArray[np.float64]
+"""Numbers in a row, or one row a decision."""
 Point = tuple[float, float, float]
+"""Its x, y and z (m)."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ def resting_state(
 class Physics:
     """One pybullet client that holds one toy room.
 
-    What happens is a function of the state last seated and of the commands since.
+    What happens is a function of the state last seated and of the commands since. All but `seat`
+    and `close` needs a state that was seated.
 
     Args:
         room: The room's measures.
@@ -117,7 +121,11 @@ class Physics:
         self._open = False
 
     def seat(self, state: Vector) -> None:
-        """Build the room anew and put its bodies as `state`, shape `(30,)`, says."""
+        """Build the room anew and put its bodies as `state`, shape `(30,)`, says.
+
+        For robot and then toy it is position (m), quaternion, velocity (m/s) and spin (rad/s);
+        between them angle (rad) and speed (rad/s) of the left and the right wheel.
+        """
         self._show(False)
         self._robot, self._toy = build(self._client, self._room, self._substeps)
         self._seat_body(self._robot, state[:13])
@@ -142,7 +150,8 @@ class Physics:
 
         Args:
             command: What happens.
-            film: Gets a picture at the end of every tenth of a second; looking changes nothing.
+            film: Gets a picture, shape `(height, width, 3)`, at the end of every tenth of a second;
+                looking changes nothing.
         """
         self._roll_toy(command.kick_x, command.kick_y)
         self._run_wheels(command.left, command.right)

@@ -10,11 +10,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-GOLDEN = -0x61C8864680B583EB  # 2**64 / golden ratio, as a signed 64-bit integer
+GOLDEN = -0x61C8864680B583EB
+"""2**64 / golden ratio, as a signed 64-bit integer."""
 MIX_1 = -0x40A7B892E31B1A47
 MIX_2 = -0x6B2FB644ECCEEE15
-WORLD = 0x746F79726F6F6D  # keeps a world's numbers apart from those an agent draws from its seed
+"""SplitMix64's factors, as signed 64-bit integers."""
+WORLD = 0x746F79726F6F6D
+"""Keeps a world's numbers apart from those an agent draws from its seed."""
 UNIT_BITS = 24
+"""How many random bits a number has."""
 
 
 def pack_seeds(seeds: Sequence[int], device: torch.device) -> Tensor:
@@ -31,6 +35,8 @@ def uniform(seeds: Tensor, moment: int, n_numbers: int) -> Tensor:
         seeds: As `pack_seeds` returns them.
         moment: How many times numbers were drawn before.
         n_numbers: How many numbers each world needs.
+
+    Source: the finaliser of SplitMix64 (Steele, Lea and Flood, 2014), on counters.
     """
     key = _mix(_mix(seeds + GOLDEN) ^ WORLD)
     moment_key = _mix(key + _signed((moment + 1) * GOLDEN))

@@ -15,10 +15,14 @@ from torch_iac_envs.room import Picture, Room, check_argument, zone_of
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
+"""What the robot senses, shape `(sensors,)`: distances in metres, a cosine and a sine."""
 Action = NDArray[np.float32]
+"""Left wheel and right wheel in [-1, 1], sound in [0, 1], shape `(3,)`."""
 State = dict[str, NDArray[Any]]
+"""What `get_state` returns; it says the shapes."""
 
 PICTURES_A_SECOND = round(1 / SLICE)
+"""How many pictures of a decision there are a second of its time."""
 
 
 class ToyRoom(gym.Env[Observation, Action]):
@@ -51,12 +55,15 @@ class ToyRoom(gym.Env[Observation, Action]):
 
     Attributes:
         room: The room's measures, a `Room`.
+        metadata: Gymnasium's, with the names and units above and `"zone_names"`.
 
     Raises:
         ValueError: An argument is outside its range.
         RuntimeError: A window is asked for where there is no display.
 
-    Source: Oudeyer and Kaplan (2004), section 2.2 and figure 1.
+    Source: Oudeyer and Kaplan (2004), section 2.2 and figure 1; that there is noise, Oudeyer,
+    Kaplan and Hafner (2007). They say neither how much nor how many beams there are; the toy's
+    direction is this library's, since without it f2 cannot be learnt.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - the type that gymnasium.Env declares
@@ -125,6 +132,9 @@ class ToyRoom(gym.Env[Observation, Action]):
         Args:
             seed: Starts the world's random numbers anew; without it they go on.
             options: Not used.
+
+        Returns:
+            What is sensed, shape `(sensors,)`, distances in metres; and nothing.
         """
         super().reset(seed=seed, options=options)
         robot = self.np_random.uniform(-self.room.robot_reach, self.room.robot_reach, 2)
@@ -141,7 +151,8 @@ class ToyRoom(gym.Env[Observation, Action]):
             action: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(3,)`.
 
         Returns:
-            What is sensed afterwards, a reward of 0, False, False and the sound's zone.
+            What is sensed afterwards, shape `(sensors,)`, distances in metres; a reward of 0,
+            False, False and, in `info["zone"]`, the sound's zone (0, 1, 2).
 
         Raises:
             RuntimeError: The world was not reset.
@@ -159,6 +170,9 @@ class ToyRoom(gym.Env[Observation, Action]):
 
         If it is `"rgb_array_list"`, return those of the last decision, the last of them at its end;
         none if the world was reset since.
+
+        Raises:
+            RuntimeError: The world was not reset.
         """
         if self.render_mode not in ("rgb_array", "rgb_array_list"):
             return None
@@ -215,7 +229,12 @@ class ToyRoom(gym.Env[Observation, Action]):
 
     @property
     def full_state(self) -> State:
-        """What `get_state` returns; setting it is `set_state`. A vector of worlds can reach it."""
+        """What `get_state` returns; setting it is `set_state`. A vector of worlds can reach it.
+
+        Raises:
+            RuntimeError: The world was not reset, or `set_state` refuses.
+            ValueError: `set_state` refuses.
+        """
         return self.get_state()
 
     @full_state.setter
