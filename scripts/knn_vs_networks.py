@@ -66,8 +66,6 @@ class Study:
 
     seeds: int = 100
     """How many robots of each kind, with the seeds 0, 1, ..."""
-    wide_seeds: int = 30
-    """How many with the wider networks, which cost most; paired with the first of the others."""
     steps: int = 10_000
     """How many decisions each takes."""
     out: Path = Path("runs/paper")
@@ -78,13 +76,12 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print and draw."""
+    seeds = range(study.seeds)
     lives = [
-        life_of(study.out, "kinematic", name, kind, range(n_seeds), study.steps)
-        for (name, kind), n_seeds in zip(
-            KINDS.items(), (study.seeds, study.seeds, study.wide_seeds), strict=True
-        )
+        life_of(study.out, "kinematic", name, kind, seeds, study.steps)
+        for name, kind in KINDS.items()
     ]
-    runs = dict(zip(KINDS, ([run] for run in live_all(lives, study.processes)), strict=True))
+    runs = {name: [run] for name, run in zip(KINDS, live_all(lives, study.processes), strict=True)}
     print_differences(runs)
     print_costs(runs)
     save(draw(runs), study.out / "knn_vs_networks.png")
@@ -112,7 +109,6 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
 
 def _cell(values: Values, less: Values | None, unit: str) -> str:
     """Return a mean, or that of a difference, over the robots that have it, and its interval."""
-    less = None if less is None else less[: len(values)]
     known = np.isfinite(values) if less is None else np.isfinite(values) & np.isfinite(less)
     found = mean(values[known]) if less is None else difference(values[known], less[known])
     sign = "" if less is None else "+"

@@ -75,7 +75,7 @@ N_OTHERS = 15
 class Study:
     """How many robots, and for how long."""
 
-    seeds: int = 5
+    seeds: int = 10
     """How many robots SAC drives in each way, with the seeds 0, 1, ..."""
     steps: int = 10_000
     """How many decisions each takes."""
