@@ -17,8 +17,14 @@ BLOCKS = [
 LINKS = [
     pytest.param(page, link, id=f"{page.name}-{link}")
     for page in PAGES
-    for link in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text())
+    for link in re.findall(r"(?:\]\(|src=\")(?!http)([^)\"]+)", page.read_text())
 ]
+
+
+def anchors(page: Path) -> set[str]:
+    """Return what GitHub calls the headings of a page in links."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("block", BLOCKS)
@@ -36,4 +42,14 @@ def test_examples_run(
 
 @pytest.mark.parametrize(("page", "link"), LINKS)
 def test_links_lead_somewhere(page: Path, link: str) -> None:
-    assert (page.parent / link).exists()
+    path, _, anchor = link.partition("#")
+    target = page.parent / path if path else page
+    assert target.exists()
+    assert not anchor or anchor in anchors(target)
+
+
+def test_every_module_has_its_place_in_the_layout() -> None:
+    layout = (ROOT / "docs" / "code.md").read_text()
+    modules = [path.name for path in (ROOT / "torch_iac").glob("[!_]*.py")]
+    assert modules
+    assert [name for name in modules if f"{name}`" not in layout] == []
