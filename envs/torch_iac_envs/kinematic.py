@@ -89,12 +89,12 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
-        check_argument("num_envs", num_envs, 1)
-        check_argument("width", width, 1)
-        check_argument("height", height, 1)
-        check_argument("beams", beams, 0)
-        check_argument("sensor_noise", sensor_noise, 0)
-        check_argument("actuator_noise", actuator_noise, 0)
+        check_argument("num_envs", num_envs)
+        check_argument("width", width)
+        check_argument("height", height)
+        check_argument("beams", beams)
+        check_argument("sensor_noise", sensor_noise)
+        check_argument("actuator_noise", actuator_noise)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self._picture_size = (width, height)

@@ -4,6 +4,7 @@ Lengths are in metres, times in seconds, angles in radians. Every version of the
 these numbers, so that their worlds agree.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,20 +104,24 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-MOST = {
-    "beams": 10_000,
-    "sensor_noise": 1000.0,
-    "actuator_noise": 1000.0,
-    "substeps": 1000,
-    "width": 4096,
-    "height": 4096,
+RANGES = {
+    "num_envs": (1, math.inf),
+    "beams": (0, 10_000),
+    "sensor_noise": (0, 1000.0),
+    "actuator_noise": (0, 1000.0),
+    "keyframe_every": (1, math.inf),
+    "substeps": (1, 1000),
+    "width": (1, 4096),
+    "height": (1, 4096),
 }
-"""How large arguments of a world may be: far beyond any use, and before an engine gives up."""
+"""How small and how large arguments of a world may be: far beyond any use, and before an engine
+gives up."""
 
 
-def check_argument(name: str, value: float, least: float) -> None:
+def check_argument(name: str, value: float) -> None:
     """Refuse an argument that is smaller or larger than it may be, or not a number."""
-    if not least <= value < float("inf"):
+    least, most = RANGES[name]
+    if not least <= value < math.inf:
         raise ValueError(f"{name} must be at least {least} and finite, got {value}")
-    if value > MOST.get(name, float("inf")):
-        raise ValueError(f"{name} must be at most {MOST[name]}, got {value}")
+    if value > most:
+        raise ValueError(f"{name} must be at most {most}, got {value}")

@@ -79,13 +79,13 @@ class ToyRoom(gym.Env[Observation, Action]):
         substeps: int = 8,
     ) -> None:
         _check_render_mode(render_mode)
-        check_argument("width", width, 1)
-        check_argument("height", height, 1)
-        check_argument("beams", beams, 0)
-        check_argument("sensor_noise", sensor_noise, 0)
-        check_argument("actuator_noise", actuator_noise, 0)
-        check_argument("keyframe_every", keyframe_every, 1)
-        check_argument("substeps", substeps, 1)
+        check_argument("width", width)
+        check_argument("height", height)
+        check_argument("beams", beams)
+        check_argument("sensor_noise", sensor_noise)
+        check_argument("actuator_noise", actuator_noise)
+        check_argument("keyframe_every", keyframe_every)
+        check_argument("substeps", substeps)
         self.render_mode = render_mode
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
