@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import binomtest
@@ -110,20 +111,25 @@ def each(runs: Sequence[Run], measure: Callable[[Run], Sequence[float] | NDArray
 
 def cut_steps(runs: Sequence[Run], number: int) -> Values:
     """Return at which decision each robot split for the first (0), second (1) time; NaN if not."""
-    return each(runs, lambda run: [_split(run, agent, number)[0] for agent in range(run.n_agents)])
+    return each(runs, lambda run: _split(run, number)[0])
 
 
 def cuts_on_sound(runs: Sequence[Run], number: int) -> Values:
     """Return where each robot's first (0) or second (1) cut is; NaN if not on the sound."""
-    return each(runs, lambda run: [_split(run, agent, number)[1] for agent in range(run.n_agents)])
+    return each(runs, lambda run: _split(run, number)[1])
 
 
-def _split(run: Run, agent: int, number: int) -> tuple[float, float]:
-    rows = [row for row in run.family(agent).to_pylist() if row["split_step"] >= 0]
-    if len(rows) <= number:
-        return np.nan, np.nan
-    row = sorted(rows, key=lambda row: row["split_step"])[number]
-    return row["split_step"], row["cut_value"] if row["cut_dimension"] == "sound" else np.nan
+def _split(run: Run, number: int) -> Values:
+    """Return when each robot split for that time and where on the sound, shape `(2, A)`."""
+    splits = run.regions.filter(pc.field("split_step") >= 0)
+    splits = splits.sort_by([("agent", "ascending"), ("split_step", "ascending")])
+    agents = splits["agent"].to_numpy()
+    nth = np.arange(len(agents)) - np.searchsorted(agents, agents) == number  # of its agent
+    on_sound = splits["cut_dimension"].to_numpy() == "sound"
+    found = np.full((2, run.n_agents), np.nan)
+    found[0, agents[nth]] = splits["split_step"].to_numpy()[nth]
+    found[1, agents[nth]] = np.where(on_sound, splits["cut_value"], np.nan)[nth]
+    return found
 
 
 def focus(runs: Sequence[Run], zone: str) -> Values:

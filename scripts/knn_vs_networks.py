@@ -23,7 +23,7 @@ from scripts.reproduce_paper import SETS, VARIANTS, Variant, draw_curves, life_o
 from scripts.study import COSTS, F2, live_all
 from torch_iac import IACConfig, MLPExperts
 from torch_iac.charts import COLOURS, save
-from torch_iac.figures import STYLE
+from torch_iac.figures import STYLE, legend
 from torch_iac.files import parse_json
 from torch_iac.intervals import difference, mean
 from torch_iac.measures import SETTLING, count_regions
@@ -139,8 +139,7 @@ def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
             draw_curves(panel, curves, which)
             panel.set_title(title, fontsize=8)
         panels[0].set_ylabel("Mean error in f2 (scaled)")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=3)
     return figure
 
 

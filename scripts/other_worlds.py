@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from scripts.study import is_whole
 from torch_iac.cli import main as torch_iac
-from torch_iac.figures import STYLE, ZONE_COLOURS, time_axis
+from torch_iac.figures import STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.intervals import band
 from torch_iac.runs import Run, load_run
 
@@ -146,8 +146,7 @@ def draw(runs: list[Run], picture: Path) -> None:
         panels[0].set_ylim(0, 1)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
         panels[0].set_ylabel("Share of time")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=3)
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(picture, dpi=200)
 

@@ -36,7 +36,7 @@ from scripts.claims import (
 )
 from scripts.study import F2, KINEMATIC, WORLD, Life, live_all, sets_aside, tests_of
 from torch_iac.charts import COLOURS, save
-from torch_iac.figures import STYLE, time_axis
+from torch_iac.figures import STYLE, legend, time_axis
 from torch_iac.intervals import band, mean
 from torch_iac.runs import Run
 
@@ -229,8 +229,7 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
             row[0].set_ylabel("Mean error in f2 (scaled)")
         for panel in panels[:-1].flat:
             panel.set_xlabel("")
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+        legend(figure, panels[0][0].get_legend_handles_labels()[0], n_columns=3)
     return figure
 
 

@@ -23,7 +23,7 @@ from scripts.claims import F1, in_order, in_words, share, time_in
 from scripts.study import F2, KINEMATIC, Life, live_together
 from torch_iac import IACConfig, KNNExperts
 from torch_iac.charts import COLOURS, save
-from torch_iac.figures import STYLE
+from torch_iac.figures import STYLE, legend
 from torch_iac.intervals import Estimate, mean
 from torch_iac.measures import SETTLING
 from torch_iac.runs import Run, load_run
@@ -152,8 +152,7 @@ def draw(found: Mapping[tuple[str, float], Mapping[str, Estimate]]) -> Figure:
         for row in panels:
             row[0].yaxis.set_major_formatter(PercentFormatter(1.0))
         panels[-1, -1].axis("off")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
+        legend(figure, panels[0, 0].get_legend_handles_labels()[0], n_columns=3)
     return figure
 
 

@@ -62,6 +62,8 @@ def test_proportional(worth: list[float], expected: list[float]) -> None:
         (0.01, [0.0] * 4, [0.25] * 4),
         (1e9, [0.0, 1.0, -3.0, 2.0], [0.25] * 4),
         (1e-6, [0.1, 0.3, 0.3, 0.2], [0.0, 0.5, 0.5, 0.0]),
+        (5e-324, [0.1, 0.3, 0.3, 0.2], [0.0, 0.5, 0.5, 0.0]),
+        (5e-324, [-0.3, -0.1], [0.0, 1.0]),
         (1.0, [1e6, 1e6 - math.log(3)], [0.75, 0.25]),
         (1.0, [1.0, math.inf, math.inf, 0.0, math.inf], [0, 1 / 3, 1 / 3, 0, 1 / 3]),
         (1.0, [-math.inf, 0.0], [0.0, 1.0]),
@@ -97,5 +99,7 @@ def test_what_is_taken_is_a_candidate_and_never_one_worth_less_than_nothing_besi
 
 @pytest.mark.parametrize("temperature", [0.0, -1.0, math.inf, math.nan])
 def test_a_temperature_is_above_nothing_and_finite(temperature: float) -> None:
-    with pytest.raises(ValueError, match=f"temperature must be above 0, got {temperature}"):
+    with pytest.raises(
+        ValueError, match=f"temperature must be above 0 and finite, got {temperature}"
+    ):
         Softmax(temperature)

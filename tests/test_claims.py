@@ -72,6 +72,12 @@ def test_made_up_robots_develop(runs: Sequence[Run]) -> None:
     assert (claims.cut_steps(runs, 1) > claims.NS).all()
 
 
+def test_a_robot_that_never_split_has_no_cut(tmp_path: Path) -> None:
+    young = [load_run(write_run(tmp_path, 2, claims.NS))]
+    assert np.isnan(claims.cut_steps(young, 0)).all()
+    assert np.isnan(claims.cuts_on_sound(young, 0)).all()
+
+
 def write_tests(run: Run, absolute: Sequence[float], squared: Sequence[float]) -> None:
     rows = [
         {"step": 100 * (i + 1), "seed": seed, "set": "met", "absolute": a, "squared": s}

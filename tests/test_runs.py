@@ -311,6 +311,14 @@ def test_a_running_mean_is_the_mean_of_the_last_values(values: list[float], wind
     assert_allclose(runs._running_mean(np.array(values), window), expected, atol=1e-12)
 
 
+def test_families_share_out_all_regions(run: Run) -> None:
+    families = [run.family(agent) for agent in range(run.n_agents)]
+    for agent, family in enumerate(families):
+        assert set(family["agent"].to_pylist()) == {agent}
+        assert family["region"].to_pylist() == list(range(family.num_rows))
+    assert sum(family.num_rows for family in families) == run.regions.num_rows
+
+
 def test_ancestors_lead_to_the_root(run: Run) -> None:
     assert ancestors(run, 0) == ()
     family = run.family(2).to_pylist()

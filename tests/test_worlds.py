@@ -25,7 +25,8 @@ import numpy as np
 class Echo(gym.Env):
     metadata = {"action_names": ("push",), "sensor_names": ("echo",)}
 
-    def __init__(self, loudness: float = 1.0, fails: bool = False) -> None:
+    def __init__(self, loudness: float = 1.0, fails: bool = False, parts: int = 1) -> None:
+        self.part = 1 / parts
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (1,), np.float32)
         self.loudness, self.fails = loudness, fails
@@ -166,6 +167,22 @@ def test_a_world_that_cannot_begin_leaves_no_run(custom: str, tmp_path: Path) ->
     with pytest.raises(RuntimeError, match="the world cannot begin"):
         typed("train", *words)
     assert not (tmp_path / "a").exists()
+
+
+def test_an_option_that_a_world_breaks_on_is_named(custom: str, tmp_path: Path) -> None:
+    words = ["--world", custom, "--world-options", "loudness=2", "parts=0"]
+    answer = typed("train", "--out", tmp_path / "a", *words)
+    said = "ZeroDivisionError('division by zero')"
+    assert answer.code == 2
+    assert answer.err == f"torch-iac: {custom} cannot be made with loudness=2 parts=0: {said}\n"
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_world_that_breaks_without_options_shows_where(custom: str, tmp_path: Path) -> None:
+    module = tmp_path / "user" / "custom_echo_world.py"
+    module.write_text(CUSTOM.replace("parts: int = 1", "parts: int = 0"))
+    with pytest.raises(ZeroDivisionError):
+        typed("train", "--world", custom, "--out", tmp_path / "a")
 
 
 def test_a_run_is_named_by_the_time_and_its_world(

@@ -74,11 +74,13 @@ class Softmax:
 
     def __post_init__(self) -> None:
         if not 0 < self.temperature < math.inf:
-            raise ValueError(f"temperature must be above 0, got {self.temperature}")
+            raise ValueError(f"temperature must be above 0 and finite, got {self.temperature}")
 
     def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
         """Return which candidate each agent takes, shape `(A,)`."""
-        return _sample(worth, (worth / self.temperature).softmax(dim=1), numbers)
+        # Less the best, so that no temperature is too low to divide by.
+        below = worth - worth.amax(dim=1, keepdim=True)
+        return _sample(worth, (below / self.temperature).softmax(dim=1), numbers)
 
 
 def _sample(worth: Tensor, weights: Tensor, numbers: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
@@ -293,12 +294,12 @@ def time_axis(axes: Axes, n_decisions: int, n_ticks: int = 5) -> None:
     axes.set_xlabel("Decisions")
 
 
-def legend(figure: Figure, key: Sequence[Line2D | Patch]) -> None:
-    """Put a legend above the axes, clear of the data."""
+def legend(figure: Figure, key: Sequence[Artist], n_columns: int | None = None) -> None:
+    """Put a legend above the axes, clear of the data; in one row if `n_columns` is not given."""
     figure.legend(
         handles=key,
         loc="outside upper center",
-        ncols=len(key),
+        ncols=n_columns or len(key),
         frameon=False,
         handlelength=1.4,
         columnspacing=1.2,

@@ -273,7 +273,13 @@ class Run:
             ValueError: There is no such agent.
         """
         self._check_agent(agent)
-        return self.regions.filter(pc.field("agent") == agent)
+        start, end = np.searchsorted(self._owners, [agent, agent + 1])
+        return self.regions.slice(start, end - start)
+
+    @cached_property
+    def _owners(self) -> NDArray[np.int32]:
+        """The agent of each of `regions`, in order."""
+        return np.asarray(self.regions["agent"])
 
     def check_recorded(self, agent: int) -> None:
         """Refuse an agent that is not there or whose steps are not recorded.

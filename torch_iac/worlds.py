@@ -71,7 +71,7 @@ def make_world(
             given bounds or hold actions.
     """
     spec = _spec(name)
-    with _refusals(name):
+    with _refusals(name, options):
         if spec.entry_point is None:
             if hold > 1 or bounds is not None:
                 raise ValueError(
@@ -143,15 +143,26 @@ def _check_options(
 
 
 @contextmanager
-def _refusals(name: str) -> Iterator[None]:
-    """Turn what worlds raise when they are made into a `ValueError`."""
+def _refusals(name: str, options: Mapping[str, Any]) -> Iterator[None]:
+    """Turn what worlds raise when they are made into a `ValueError`.
+
+    What may be a bug of the world's comes through, unless options may be to blame.
+    """
+    words = " ".join(f"{option}={value!s:.80}" for option, value in options.items())
+    given = f" with {words}" if words else ""
     try:
         with catch_warnings(action="ignore"):  # worlds refuse by themselves what is warned of
             yield
+    except (ValueError, OSError, gym.error.Error):  # they say what is wrong
+        raise
     except RuntimeError as error:  # such as a window where there is no display
         raise ValueError(str(error)) from error
     except (TypeError, ImportError) as error:  # such as an option that is none, or a package
-        raise ValueError(f"{name} cannot be made: {error}") from error
+        raise ValueError(f"{name} cannot be made{given}: {error}") from error
+    except Exception as error:  # such as a division by an option that is 0
+        if not options:
+            raise
+        raise ValueError(f"{name} cannot be made{given}: {error!r}") from error
 
 
 def _saved(env: World) -> World:

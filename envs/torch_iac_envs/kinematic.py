@@ -59,6 +59,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         sensor_noise: Standard deviation of each distance (m); the toy's direction gets twice this
             number in radians.
         actuator_noise: Standard deviation of each wheel's speed, as a share of full speed.
+        f1_end: The highest sound of f1, in [0, 1].
+        f2_end: The highest sound of f2, in [`f1_end`, 1]; above it is f3.
         device: Where the worlds are.
         check_actions: Whether to check that actions are within their bounds. On a GPU the check
             waits for all that was computed before.
@@ -92,17 +94,19 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         toy_direction: bool = True,
         sensor_noise: float = 0.01,
         actuator_noise: float = 0.02,
+        f1_end: float = layout.F1_END,
+        f2_end: float = layout.F2_END,
         device: str | torch.device = "cpu",
         check_actions: bool = True,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
-        check_argument("num_envs", num_envs, 1)
-        check_argument("width", width, 1)
-        check_argument("height", height, 1)
-        check_argument("beams", beams, 0)
-        check_argument("sensor_noise", sensor_noise, 0)
-        check_argument("actuator_noise", actuator_noise, 0)
+        check_argument("num_envs", num_envs)
+        check_argument("width", width)
+        check_argument("height", height)
+        check_argument("beams", beams)
+        check_argument("sensor_noise", sensor_noise)
+        check_argument("actuator_noise", actuator_noise)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self._picture_size = (width, height)
@@ -111,6 +115,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
         self._actuator_noise = actuator_noise
+        self._zone_ends = layout.zone_ends(f1_end, f2_end)
         self._check_actions = check_actions
         self._beams = torch.arange(beams, device=self.device) * (2 * math.pi / max(beams, 1))
         self._declare_spaces(beams)
@@ -185,8 +190,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         """
         self._check_started("step")
         *wheels, sound = self._checked_actions(actions)
-        zone = sum((sound > float(end)).long() for end in layout.ZONE_ENDS)
-        assert isinstance(zone, Tensor)  # noqa: S101 - tells the type checker
+        f1_end, f2_end = self._zone_ends
+        zone = (sound > f1_end).long() + (sound > f2_end)
         kick, uniforms, sensor_uniforms = self._draw(2, 2, self._n_sensor_noises)
         speeds = torch.stack(wheels) + self._actuator_noise * normal(uniforms)
         self._position, self._heading = drive(self.room, self._position, self._heading, speeds)

@@ -4,6 +4,7 @@ Lengths are in metres, times in seconds, angles in radians. Every version of the
 these numbers, so that their worlds agree.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +21,8 @@ ACTION_HIGH = (1.0, 1.0, 1.0)
 Source: Oudeyer and Kaplan (2004), section 2.2.
 """
 
-ZONE_ENDS = (np.float32(1 / 3), np.float32(2 / 3))
+F1_END, F2_END = 1 / 3, 2 / 3
 """Zones of the sound: f1 up to and with the first number, f2 up to and with the second, f3 above.
-
-In float32, as actions are, so that a sound of one third is in f1 whatever computes it.
 
 Source: Oudeyer and Kaplan (2004), section 2.2, which leaves gaps: f1 up to 0.33, f2 from 0.34 to
 0.66, f3 from 0.67.
@@ -94,9 +93,15 @@ class Room:
         return self.side / 2 - self.toy_radius
 
 
-def zone_of(sound: np.float32) -> int:
-    """Return the zone of a sound in [0, 1]: 0 for f1, 1 for f2, 2 for f3."""
-    return sum(int(sound > end) for end in ZONE_ENDS)
+def zone_ends(f1_end: float, f2_end: float) -> tuple[float, float]:
+    """Return where f1 and f2 end, as float32 has it, so that an end is in the lower zone.
+
+    Raises:
+        ValueError: They lie outside [0, 1], or the first above the second.
+    """
+    if not 0 <= f1_end <= f2_end <= 1:
+        raise ValueError(f"f1_end and f2_end must go up within [0, 1], got {f1_end} and {f2_end}")
+    return float(np.float32(f1_end)), float(np.float32(f2_end))
 
 
 def sensor_names(n_beams: int, toy_direction: bool) -> tuple[str, ...]:
@@ -123,24 +128,28 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
-MOST = {
-    "beams": 10_000,
-    "sensor_noise": 1000.0,
-    "actuator_noise": 1000.0,
-    "substeps": 1000,
-    "width": 4096,
-    "height": 4096,
+RANGES = {
+    "num_envs": (1, math.inf),
+    "beams": (0, 10_000),
+    "sensor_noise": (0, 1000.0),
+    "actuator_noise": (0, 1000.0),
+    "keyframe_every": (1, math.inf),
+    "substeps": (1, 1000),
+    "width": (1, 4096),
+    "height": (1, 4096),
 }
-"""How large arguments of a world may be: far beyond any use, and before an engine gives up."""
+"""How small and how large arguments of a world may be: far beyond any use, and before an engine
+gives up."""
 
 
-def check_argument(name: str, value: float, least: float) -> None:
+def check_argument(name: str, value: float) -> None:
     """Refuse an argument that is smaller or larger than it may be, or not a number.
 
     Raises:
-        ValueError: `value` is below `least`, above what `MOST` has under `name`, infinite or NaN.
+        ValueError: `value` is outside what `RANGES` has under `name`, infinite or NaN.
     """
-    if not least <= value < float("inf"):
+    least, most = RANGES[name]
+    if not least <= value < math.inf:
         raise ValueError(f"{name} must be at least {least} and finite, got {value}")
-    if value > MOST.get(name, float("inf")):
-        raise ValueError(f"{name} must be at most {MOST[name]}, got {value}")
+    if value > most:
+        raise ValueError(f"{name} must be at most {most}, got {value}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch_iac_envs import room as layout
 from torch_iac_envs.bodies import SLICE
 from torch_iac_envs.physics import Command, Physics, Vector, resting_state
-from torch_iac_envs.room import Picture, Room, check_argument, zone_of
+from torch_iac_envs.room import Picture, Room, check_argument
 from torch_iac_envs.state import pack_commands, pack_random, unpack_commands, unpack_random
 
 Observation = NDArray[np.float32]
@@ -49,6 +49,8 @@ class ToyRoom(gym.Env[Observation, Action]):
         sensor_noise: Standard deviation of each distance (m). The toy's direction gets twice this
             number in radians: what it would get if read half a metre away.
         actuator_noise: Standard deviation of each wheel's speed, as a share of full speed.
+        f1_end: The highest sound of f1, in [0, 1].
+        f2_end: The highest sound of f2, in [`f1_end`, 1]; above it is f3.
         keyframe_every: Decisions between two rebuildings of the physics, from which a state can
             be resumed exactly. The trajectory depends on it, in its last digits.
         substeps: Physics steps in a tenth of a second.
@@ -82,21 +84,24 @@ class ToyRoom(gym.Env[Observation, Action]):
         toy_direction: bool = True,
         sensor_noise: float = 0.01,
         actuator_noise: float = 0.02,
+        f1_end: float = layout.F1_END,
+        f2_end: float = layout.F2_END,
         keyframe_every: int = 100,
         substeps: int = 8,
     ) -> None:
         _check_render_mode(render_mode)
-        check_argument("width", width, 1)
-        check_argument("height", height, 1)
-        check_argument("beams", beams, 0)
-        check_argument("sensor_noise", sensor_noise, 0)
-        check_argument("actuator_noise", actuator_noise, 0)
-        check_argument("keyframe_every", keyframe_every, 1)
-        check_argument("substeps", substeps, 1)
+        check_argument("width", width)
+        check_argument("height", height)
+        check_argument("beams", beams)
+        check_argument("sensor_noise", sensor_noise)
+        check_argument("actuator_noise", actuator_noise)
+        check_argument("keyframe_every", keyframe_every)
+        check_argument("substeps", substeps)
         self.render_mode = render_mode
         self._toy_direction = toy_direction
         self._sensor_noise = sensor_noise
         self._actuator_noise = actuator_noise
+        self._zone_ends = layout.zone_ends(f1_end, f2_end)
         self._keyframe_every = keyframe_every
         self._declare_spaces(beams)
         self._keyframe: Vector | None = None
@@ -160,7 +165,7 @@ class ToyRoom(gym.Env[Observation, Action]):
         """
         self._check_started("step")
         action = self._checked(action)
-        zone = zone_of(action[2])
+        zone = sum(int(action[2] > end) for end in self._zone_ends)
         self._clear_film()
         self._decide(self._command(action, zone), self._film)
         return self._sense(), 0.0, False, False, {"zone": zone}

@@ -3,6 +3,7 @@
 Worlds are driven through Gymnasium's vector interface, as an agent drives them.
 """
 
+import math
 from itertools import islice
 from typing import Any
 
@@ -111,11 +112,29 @@ class ToyRoomContract:
         ],
     )
     def test_the_sound_decides_the_zone(self, sound: float, zone: int) -> None:
-        env = self.make(1)
+        assert self.zone_of(sound) == zone
+
+    @pytest.mark.parametrize(
+        ("sound", "zone"), [(0.0, 0), (0.8, 0), (0.81, 1), (0.9, 1), (0.91, 2), (1.0, 2)]
+    )
+    def test_zones_end_where_they_are_told_to(self, sound: float, zone: int) -> None:
+        assert self.zone_of(sound, f1_end=0.8, f2_end=0.9) == zone
+
+    def test_a_zone_may_be_left_out(self) -> None:
+        assert self.zone_of(0.5, f1_end=0.5, f2_end=0.5) == 0
+        assert self.zone_of(0.51, f1_end=0.5, f2_end=0.5) == 2
+
+    @pytest.mark.parametrize("ends", [(0.9, 0.8), (-0.1, 0.5), (0.5, 1.1), (math.nan, 0.5)])
+    def test_zones_that_do_not_go_up_are_refused(self, ends: tuple[float, float]) -> None:
+        with pytest.raises(ValueError, match=r"f1_end and f2_end must go up within \[0, 1\]"):
+            self.make(1, f1_end=ends[0], f2_end=ends[1])
+
+    def zone_of(self, sound: float, **arguments: Any) -> int:
+        env = self.make(1, **arguments)
         env.reset(seed=0)
         *_, infos = env.step(np.array([[0, 0, sound]], np.float32))
-        assert np.asarray(infos["zone"]).tolist() == [zone]
         env.close()
+        return int(infos["zone"][0])
 
     def test_in_f2_nothing_goes_anywhere_while_the_wheels_stand(self) -> None:
         env = self.make(1, **QUIET)
