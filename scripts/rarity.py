@@ -1,0 +1,161 @@
+"""Is curiosity worth more where random actions seldom lead to what can be learnt?
+
+    python -m scripts.rarity
+
+In the paper's room a third of all sounds is in f2, so that robots which act at random practise it
+much. Here f2 and f3 are a smaller and smaller part of the sounds, and f1, where nothing can be
+learnt, is the rest. Prints how well robots of each drive come to predict f2, beside RANDOM, and
+draws it. Runs that are in the folder already, those of `scripts.reproduce_paper` among them, are
+not run again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import matplotlib as mpl
+import tyro
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter
+
+from scripts.claims import F1, LATE, in_words, last_error, ratio, time_in
+from scripts.reproduce_paper import LABELS, SETS, VARIANTS, Variant, life_of
+from scripts.study import F2, live_all
+from torch_iac.charts import COLOURS, save
+from torch_iac.figures import STYLE, legend
+from torch_iac.intervals import Estimate, mean
+from torch_iac.runs import Run
+
+COMMON = 1 / 3
+"""The part of the sounds that is in f2, and in f3, in the paper's room."""
+
+KINDS = {"knn": "nearest neighbours", "mlp": "networks"}
+DRIVES = {"": "iac", "-random": "random", "-proportional": "proportional"}
+RATIO_TICKS = (0.25, 0.5, 1, 2)
+
+
+@dataclass(frozen=True)
+class Study:
+    """How rare f2 is, how many robots there are, and for how long."""
+
+    parts: tuple[float, ...] = (0.1, 0.03)
+    """Parts of the sounds that are in f2, and as many in f3, besides the paper's third."""
+    seeds: int = 100
+    """How many robots of each kind, with the seeds 0, 1, ..."""
+    steps: int = 10_000
+    """How many decisions each takes."""
+    out: Path = Path("runs/paper")
+    """Where the run folders and the figure go."""
+    processes: int = 2
+    """How many runs go on at once."""
+
+
+def main(study: Study) -> None:
+    """Run what is not there yet, then print and draw."""
+    parts = (COMMON, *study.parts)
+    runs = runs_of(study, parts)
+    print_table(runs)
+    save(draw(runs, parts), study.out / "rarity.png")
+
+
+def runs_of(study: Study, parts: Sequence[float]) -> dict[tuple[float, str], list[Run]]:
+    """Return the runs, by the part of the sounds that is in f2 and by the kind of robots."""
+    places = [(part, kind + drive) for part in parts for kind in KINDS for drive in DRIVES]
+    seeds = range(study.seeds)
+    lives = [
+        life_of(
+            study.out, "kinematic", name_of(part, name), variant_of(part, name), seeds, study.steps
+        )
+        for part, name in places
+    ]
+    return {
+        place: [run] for place, run in zip(places, live_all(lives, study.processes), strict=True)
+    }
+
+
+def name_of(part: float, name: str) -> str:
+    """Return what robots are called in the folder: as in the other study where f2 is common."""
+    return name if part == COMMON else f"{name}-f2-{part:g}"
+
+
+def variant_of(part: float, name: str) -> Variant:
+    """Return such robots, in a room where f2 and f3 have that part of the sounds each."""
+    if part == COMMON:
+        return VARIANTS[name]
+    return replace(VARIANTS[name], options={"f1_end": 1 - 2 * part, "f2_end": 1 - part})
+
+
+def print_table(runs: Mapping[tuple[float, str], Sequence[Run]]) -> None:
+    """Print how robots spend their time and predict f2, beside RANDOM of their own kind."""
+    titles = ["sounds in f2", "robots", "time in f1", "in f2"]
+    titles += [t for where in SETS.values() for t in (f"error: {where}", "of RANDOM's")]
+    print(f"| {' | '.join(titles)} |\n{'|---' * len(titles)}|")
+    for (part, name), mine in runs.items():
+        cells = [f"{part:.0%}", name]
+        cells += [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        for which in SETS:
+            errors = last_error(mine, which, "absolute")
+            found = beside_random(runs, part, name, which)
+            cells += [in_words(mean(errors), ".4f"), in_words(found, ".2f")]
+        print(f"| {' | '.join(cells)} |")
+
+
+def beside_random(
+    runs: Mapping[tuple[float, str], Sequence[Run]], part: float, name: str, which: str
+) -> Estimate:
+    """Return how many times RANDOM's last error on a test set theirs is."""
+    random = runs[part, f"{name.partition('-')[0]}-random"]
+    return ratio(*(last_error(of, which, "absolute") for of in (runs[part, name], random)))
+
+
+def draw(runs: Mapping[tuple[float, str], Sequence[Run]], parts: Sequence[float]) -> Figure:
+    """Return the errors beside RANDOM's over how common f2 is, on both test sets."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+        panels = figure.subplots(1, len(SETS), sharey=True)
+        for panel, (which, title) in zip(panels, SETS.items(), strict=True):
+            for kind, style in zip(KINDS, ("-", "--"), strict=True):
+                for drive, name in DRIVES.items():
+                    if name != "random":
+                        found = [beside_random(runs, part, kind + drive, which) for part in parts]
+                        label = f"{LABELS[name]}, {KINDS[kind]}"
+                        line(panel, parts, found, COLOURS[list(LABELS).index(name)], style, label)
+            panel.axhline(1, color="0.6", linewidth=0.8, zorder=0)
+            panel.set_title(title, fontsize=8)
+            panel.set_xlabel("Sounds in f2")
+            part_axis(panel, parts)
+        panels[0].set_ylabel("Error in f2, of RANDOM's")
+        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=2)
+    return figure
+
+
+def line(
+    panel: Axes,
+    parts: Sequence[float],
+    found: Sequence[Estimate],
+    colour: str,
+    style: str,
+    label: str,
+) -> None:
+    """Draw some estimates with their intervals."""
+    values, lows, highs = zip(*((of.value, of.low, of.high) for of in found), strict=True)
+    panel.plot(parts, values, style, color=colour, label=label, linewidth=1.2, marker="o", ms=3)
+    panel.fill_between(parts, lows, highs, color=colour, alpha=0.2, linewidth=0)
+
+
+def part_axis(panel: Axes, parts: Sequence[float]) -> None:
+    """Let a panel go from where f2 is common to where it is rare."""
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.invert_xaxis()
+    panel.xaxis.set_major_locator(FixedLocator(parts))
+    panel.xaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+    panel.yaxis.set_major_locator(FixedLocator(RATIO_TICKS))
+    panel.yaxis.set_major_formatter("{x:g}")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_minor_locator(NullLocator())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))
