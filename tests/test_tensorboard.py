@@ -141,6 +141,7 @@ def test_hparams_have_a_row_a_run_and_a_column_a_setting_or_measure(
     for of in measures:
         cells = shown[f"windows/{of['variant']}/seed-000"]
         assert cells["variant"] == of["variant"]
+        assert cells["seed"] == str(of["seed"])
         assert float(cells["window"]) == (75 if of["variant"] == "narrow" else 150)
         for name in names:
             assert float(cells[name]) == pytest.approx(of[name], rel=1e-3), name

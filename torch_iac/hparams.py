@@ -127,7 +127,7 @@ def _setting(name: str, values: Sequence[str | float]) -> HParamInfo:
     """Return what kind of setting it is, and which values it takes."""
     if isinstance(values[0], str):
         info = HParamInfo(name=name, type=DATA_TYPE_STRING)
-        info.domain_discrete.extend(sorted(set(map(str, values))))
+        info.domain_discrete.extend(dict.fromkeys(map(str, values)))
         return info
     info = HParamInfo(name=name, type=DATA_TYPE_FLOAT64)
     numbers = [float(value) for value in values]

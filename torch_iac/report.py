@@ -103,7 +103,7 @@ def _tell_tensorboard(
     sessions = [(variant, run) for variant, of in runs.items() for run in of]
     differing = differing_settings([run for _, run in sessions])
     settings = [
-        {"variant": variant, "seed": float(run.seeds[0]), **own}
+        {"variant": variant, "seed": str(run.seeds[0]), **own}  # numbers get 5 digits there
         for (variant, run), own in zip(sessions, differing, strict=True)
     ]
     write_experiment(folder, settings, {measure.name: measure.label for measure in measures})
