@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
+from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
 from scripts.study import F2, tests_of
@@ -22,6 +22,7 @@ from torch_iac.generalisation import Transitions, plateau
 from torch_iac.intervals import Estimate, difference, mean
 from torch_iac.measures import FOCUS_SHARES, SETTLING, leaf_purity
 from torch_iac.runs import Run, focus_steps
+from torch_iac.space import Dimension
 
 Values = NDArray[np.float64]
 Better = Literal["higher", "lower"]
@@ -38,6 +39,8 @@ LAST_TESTS = 5  # whose mean is the last error
 SPAN_TESTS = 5  # 500 decisions
 SPREAD = 1e-4 / 0.09**2  # 2007's variance, where errors were about 0.09, as a share of their square
 LATE = 3000
+MATTERS = ("left_wheel", "right_wheel", "toy_distance", "toy_cos", "toy_sin")
+"""What decides where the toy will be in f2: how the robot drives, and where the toy is from it."""
 
 
 @dataclass(frozen=True)
@@ -229,30 +232,49 @@ def catching_up(runs: Sequence[Run], others: Sequence[Run], which: str) -> Value
     return np.where(reached.any(axis=0), steps[reached.argmax(axis=0)], np.nan)
 
 
-def gaps(runs: Sequence[Run], sets: Mapping[str, Transitions]) -> Values:
-    """Return how far contexts met are from the nearest thing that each robot did in f2.
+def gaps(runs: Sequence[Run], asked: Transitions) -> Values:
+    """Return how far transitions set aside in f2 are from what each robot did there, shape `(A,)`.
 
-    The mean Euclidean distance, in the unit cube of situations, of the transitions set aside to the
-    nearest decision in f2 of the robot's whole life: how well it has covered f2.
-
-    Args:
-        runs: The runs.
-        sets: The test sets of their world.
+    The mean distance to the nearest decision in f2 of the robot's whole life, in the dimensions of
+    `MATTERS`, each scaled to [0, 1]: how well the robot has covered f2.
     """
-    return each(runs, lambda run: _gaps(run, sets["met"]))
+    return each(runs, lambda run: nearest(run, asked)[0].mean(axis=1))
 
 
-def _gaps(run: Run, asked: Transitions) -> list[float]:
-    bounds = np.array([(d.low, d.high) for d in run.space.situation])
-    low, span = bounds[:, 0], bounds[:, 1] - bounds[:, 0]
-    points = (np.concatenate([asked.actions, asked.sensors], axis=1) - low) / span
-    situations = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
-    lived = (situations - low) / span  # (T, A, D)
-    zones = run.column("zone")
-    return [
-        float(cdist(points, lived[zones[:, agent] == F2, agent]).min(axis=1).mean())
-        for agent in range(run.n_agents)
-    ]
+def nearest(run: Run, asked: Transitions) -> tuple[Values, Values]:
+    """Return the nearest decision in f2 of each robot to each of some transitions, as `gaps` does.
+
+    Returns:
+        How far it is, and the absolute error if its outcome were the prediction, scaled; each of
+        shape `(A, N)`.
+    """
+    points, lived = (_scaled(rows, run.space.situation) for rows in _situations(run, asked))
+    truth, outcomes = (_scaled(rows, run.space.outcomes) for rows in _outcomes(run, asked))
+    columns = [i for i, d in enumerate(run.space.situation) if d.name in MATTERS]
+    in_f2 = run.column("zone") == F2
+    distances, errors = [], []
+    for agent, mine in enumerate(in_f2.T):
+        found = cKDTree(lived[mine, agent][:, columns]).query(points[:, columns])
+        distances.append(found[0])
+        errors.append(np.abs(outcomes[mine, agent][found[1]] - truth).mean(axis=1))
+    return np.array(distances), np.array(errors)
+
+
+def _situations(run: Run, asked: Transitions) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the transitions' situations `(N, D)` and a run's `(T, A, D)`, raw."""
+    lived = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
+    return np.concatenate([asked.actions, asked.sensors], axis=1), lived
+
+
+def _outcomes(run: Run, asked: Transitions) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the transitions' outcomes `(N, K)` and a run's `(T, A, K)`, raw."""
+    names = (f"outcome/{dimension.name}" for dimension in run.space.outcomes)
+    return asked.outcomes, np.stack([run.column(name) for name in names], axis=-1)
+
+
+def _scaled(values: NDArray[Any], dimensions: Sequence[Dimension]) -> Values:
+    low, high = np.array([(d.low, d.high) for d in dimensions]).T
+    return np.asarray((values - low) / (high - low))
 
 
 def _purity(group: Group) -> Estimate:

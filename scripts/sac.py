@@ -24,11 +24,11 @@ from stable_baselines3 import SAC
 from tqdm import tqdm
 
 import torch_iac as iac
-from scripts.claims import each, focus, in_order, in_words, last_error
+from scripts.claims import each, focus, gaps, in_order, in_words, last_error
 from scripts.reproduce_paper import SETS, TEST_EVERY
 from scripts.reproduce_paper import VARIANTS as PAPERS
 from scripts.reproduce_paper import life_of as of_paper
-from scripts.study import Diary, Life, is_whole, live
+from scripts.study import WORLD, Diary, Life, is_whole, live, sets_aside
 from torch_iac.charts import Curves, draw_shares, save
 from torch_iac.intervals import difference
 from torch_iac.runs import Run, load_run
@@ -165,6 +165,10 @@ def rows(late: int) -> dict[str, Callable[[Sequence[Run]], str]]:
     def error(which: str) -> Callable[[Sequence[Run]], str]:
         return lambda of: spread(last_error(of, which, "absolute"), ".4f")
 
+    def gap(which: str) -> Callable[[Sequence[Run]], str]:
+        asked = sets_aside(WORLD, ())[which]
+        return lambda of: spread(gaps(of, asked), ".3f")
+
     parts = {"first 1,000": slice(1000), f"last {late:,}": slice(-late, None)}
     return {
         **{f"{of}: f{z + 1}": share(part, z) for of, part in parts.items() for z in range(3)},
@@ -173,6 +177,8 @@ def rows(late: int) -> dict[str, Callable[[Sequence[Run]], str]]:
         "f3 first, then f2": lambda of: f"{in_order(of).sum()} of {len(in_order(of))}",
         "error in f2, contexts met": error("met"),
         "error in f2, anywhere": error("anywhere"),
+        "gaps in f2, contexts met": gap("met"),
+        "gaps in f2, anywhere": gap("anywhere"),
         "progress a decision, in 1,000ths": lambda of: spread(
             1000 * each(of, lambda run: run.column("progress").mean(axis=0)), ".1f"
         ),

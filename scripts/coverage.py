@@ -1,0 +1,113 @@
+"""Why do some robots predict f2 better than others: what they did, or in which order they did it?
+
+    python -m scripts.coverage
+
+For robots of each drive, those of `scripts.reproduce_paper`: how far the situations that are asked
+for lie from what a robot did in f2, in the dimensions that decide what comes of them; the error if
+the outcome of the nearest were the prediction; the robots' own error; and that of robots to which
+the same decisions were told in another order. Prints Markdown.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from scripts.claims import gaps, in_words, nearest
+from scripts.reproduce_paper import DRIVES, SETS, VARIANTS, life_of
+from scripts.study import KINEMATIC, live_all, sets_aside
+from torch_iac import IAC, IACConfig
+from torch_iac.generalisation import Transitions, errors_on
+from torch_iac.intervals import mean
+from torch_iac.runs import Run
+
+Values = NDArray[np.float64]
+
+SHUFFLE_SEED = 0
+
+
+@dataclass(frozen=True)
+class Study:
+    """How many robots are looked at, and where they are."""
+
+    robots: int = 30
+    """How many robots of each kind are told their lives again: the first so many."""
+    seeds: int = 100
+    """How many robots of each kind there are, with the seeds 0, 1, ..."""
+    steps: int = 10_000
+    """How many decisions each took."""
+    out: Path = Path("runs/paper")
+    """Where the run folders are, or go."""
+    processes: int = 2
+    """How many runs go on at once."""
+
+
+def main(study: Study) -> None:
+    """Print a row for each drive."""
+    torch.set_num_threads(1)
+    kinds = ["knn", *(f"knn-{drive}" for drive in DRIVES)]
+    lives = [
+        life_of(study.out, "kinematic", kind, VARIANTS[kind], range(study.seeds), study.steps)
+        for kind in kinds
+    ]
+    titles = ["robots"]
+    for where in ("contexts met", "anywhere"):
+        titles += [f"gaps: {where}", "error of the nearest", "own error", "told in another order"]
+    print(f"| {' | '.join(titles)} |\n{'|---' * len(titles)}|")
+    for kind, run in zip(kinds, live_all(lives, study.processes), strict=True):
+        print(f"| {kind} | {' | '.join(row(run, study.robots))} |")
+
+
+def row(run: Run, n_robots: int) -> list[str]:
+    """Return what is printed of the first robots of a run."""
+    sets = sets_aside(KINEMATIC, ())
+    lived = told(run, np.arange(run.n_decisions)[:, None].repeat(n_robots, axis=1))
+    rng = np.random.default_rng(SHUFFLE_SEED)
+    orders = [rng.permutation(run.n_decisions) for _ in range(n_robots)]
+    shuffled = told(run, np.stack(orders, axis=1))
+    cells = []
+    for which in SETS:
+        asked = sets[which]
+        cells.append(in_words(mean(gaps([run], asked)[:n_robots]), ".3f"))
+        cells.append(in_words(mean(nearest(run, asked)[1][:n_robots].mean(axis=1)), ".4f"))
+        cells += [in_words(mean(errors(agent, asked)), ".4f") for agent in (lived, shuffled)]
+    return cells
+
+
+def told(run: Run, orders: NDArray[np.int64]) -> IAC:
+    """Return robots to which the decisions of a run were told, in orders `(T, A)`."""
+    n_robots = orders.shape[1]
+    agent = IAC(run.space, IACConfig(), run.seeds[:n_robots])
+    actions, sensors, after = (part[:, :n_robots] for part in decisions(run))
+    robots = np.arange(n_robots)
+    for order in tqdm(orders, unit="decision", disable=None, leave=False):
+        agent.take(actions[order, robots], sensors[order, robots])
+        agent.observe(after[order, robots])
+    return agent
+
+
+def decisions(run: Run) -> tuple[Values, Values, Values]:
+    """Return a run's actions, and its sensors before and after, `(T, A, ...)`.
+
+    After an action only what is predicted is recorded, and nothing else is learnt from; the other
+    sensors are given as they were before.
+    """
+    situations = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
+    actions, sensors = np.split(situations, [len(run.space.actions)], axis=-1)
+    after = sensors.copy()
+    for column, dimension in zip(run.space.outcome_columns, run.space.outcomes, strict=True):
+        after[..., column] = run.column(f"outcome/{dimension.name}")
+    return actions, sensors, after
+
+
+def errors(agent: IAC, asked: Transitions) -> Values:
+    """Return the mean absolute error of each robot, scaled."""
+    return np.asarray(errors_on(asked, agent).absolute)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))
