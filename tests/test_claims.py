@@ -9,10 +9,22 @@ import pyarrow as pa
 import pytest
 
 from scripts import claims
-from scripts.claims import CLAIMS, Claim, catching_up, in_order, last_error, plateaus, ratio, share
+from scripts.claims import (
+    CLAIMS,
+    Claim,
+    catching_up,
+    gaps,
+    in_order,
+    last_error,
+    nearest,
+    plateaus,
+    ratio,
+    share,
+)
 from scripts.study import TESTS
 from tests.synthetic_run import write_run
 from torch_iac.files import write_table
+from torch_iac.generalisation import Transitions
 from torch_iac.intervals import Estimate
 from torch_iac.runs import Run, load_run
 
@@ -127,3 +139,19 @@ def test_every_claim_says_where_it_stands() -> None:
     assert len({(each.says, each.measured) for each in CLAIMS}) == len(CLAIMS)
     for each in CLAIMS:
         assert each.bars.startswith(("above", "below"))
+
+
+def test_what_a_robot_did_in_f2_leaves_no_gap(tmp_path: Path) -> None:
+    run = load_run(write_run(tmp_path / "run"))
+    there = np.equal(run.column("zone")[:, 0], claims.F2)
+    columns = [run.column(name)[there, 0] for name in run.situation_columns]
+    wheel, sound, beam, distance = (np.asarray(column, np.float32) for column in columns)
+    outcome = np.asarray(run.column("outcome/toy_distance")[there], np.float32)
+    # A beam and the sound decide nothing in f2.
+    elsewhere = Transitions(np.c_[wheel, sound * 0], np.c_[beam * 0, distance], outcome)
+    distances, errors = nearest(run, elsewhere)
+    assert distances.shape == errors.shape == (1, there.sum())
+    assert distances.max() == pytest.approx(0, abs=1e-6)
+    assert gaps([run], elsewhere) == pytest.approx(0, abs=1e-6)
+    farther = Transitions(np.c_[wheel * 0 + 1.5, sound], np.c_[beam, distance], outcome)
+    assert gaps([run], farther) > 0.25  # the wheel's range is 2 wide
