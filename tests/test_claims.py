@@ -21,7 +21,7 @@ from scripts.claims import (
     ratio,
     share,
 )
-from scripts.study import TESTS
+from scripts.study import F2, TESTS
 from tests.synthetic_run import write_run
 from torch_iac.files import write_table
 from torch_iac.generalisation import Transitions
@@ -143,7 +143,7 @@ def test_every_claim_says_where_it_stands() -> None:
 
 def test_what_a_robot_did_in_f2_leaves_no_gap(tmp_path: Path) -> None:
     run = load_run(write_run(tmp_path / "run"))
-    there = np.equal(run.column("zone")[:, 0], claims.F2)
+    there = np.equal(run.column("zone")[:, 0], F2)
     columns = [run.column(name)[there, 0] for name in run.situation_columns]
     wheel, sound, beam, distance = (np.asarray(column, np.float32) for column in columns)
     outcome = np.asarray(run.column("outcome/toy_distance")[there], np.float32)
