@@ -12,12 +12,15 @@ not run again.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter
+from numpy.typing import NDArray
 
 from scripts.claims import F1, LATE, in_words, last_error, ratio, time_in
 from scripts.reproduce_paper import LABELS, SETS, VARIANTS, Variant, life_of
@@ -27,12 +30,26 @@ from torch_iac.figures import STYLE, legend
 from torch_iac.intervals import Estimate, mean
 from torch_iac.runs import Run
 
+Values = NDArray[np.float64]
+
 COMMON = 1 / 3
 """The part of the sounds that is in f2, and in f3, in the paper's room."""
 
 KINDS = {"knn": "nearest neighbours", "mlp": "networks"}
 DRIVES = {"": "iac", "-random": "random", "-proportional": "proportional"}
-RATIO_TICKS = (0.25, 0.5, 1, 2)
+LOOKS: dict[str, dict[str, Any]] = {
+    kind + drive: {
+        "label": f"{LABELS[DRIVES[drive]]}, {KINDS[kind]}",
+        "color": COLOURS[list(LABELS).index(DRIVES[drive])],
+        "markerfacecolor": face,
+        "linestyle": style,
+    }
+    for drive in ("", "-proportional")
+    for kind, face, style in (("knn", "auto", "-"), ("mlp", "white", "--"))
+}
+"""How what is beside RANDOM looks in the figure."""
+
+RATIO_TICKS = (0.8, 1, 1.25, 1.5, 2)
 
 
 @dataclass(frozen=True)
@@ -115,33 +132,27 @@ def draw(runs: Mapping[tuple[float, str], Sequence[Run]], parts: Sequence[float]
         figure = Figure(figsize=(7.0, 3.0), layout="constrained")
         panels = figure.subplots(1, len(SETS), sharey=True)
         for panel, (which, title) in zip(panels, SETS.items(), strict=True):
-            for kind, style in zip(KINDS, ("-", "--"), strict=True):
-                for drive, name in DRIVES.items():
-                    if name != "random":
-                        found = [beside_random(runs, part, kind + drive, which) for part in parts]
-                        label = f"{LABELS[name]}, {KINDS[kind]}"
-                        line(panel, parts, found, COLOURS[list(LABELS).index(name)], style, label)
+            for number, (name, look) in enumerate(LOOKS.items()):
+                found = [beside_random(runs, part, name, which) for part in parts]
+                shifted = np.array(parts) * (1 + 0.04 * (number - 1.5))  # so that bars stay apart
+                draw_estimates(panel, shifted, found, look)
             panel.axhline(1, color="0.6", linewidth=0.8, zorder=0)
             panel.set_title(title, fontsize=8)
             panel.set_xlabel("Sounds in f2")
             part_axis(panel, parts)
-        panels[0].set_ylabel("Error in f2, of RANDOM's")
+        panels[0].set_ylabel("Error in f2, times RANDOM's")
         legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=2)
     return figure
 
 
-def line(
-    panel: Axes,
-    parts: Sequence[float],
-    found: Sequence[Estimate],
-    colour: str,
-    style: str,
-    label: str,
+def draw_estimates(
+    panel: Axes, places: Values, found: Sequence[Estimate], look: Mapping[str, Any]
 ) -> None:
     """Draw some estimates with their intervals."""
-    values, lows, highs = zip(*((of.value, of.low, of.high) for of in found), strict=True)
-    panel.plot(parts, values, style, color=colour, label=label, linewidth=1.2, marker="o", ms=3)
-    panel.fill_between(parts, lows, highs, color=colour, alpha=0.2, linewidth=0)
+    values, lows, highs = np.array([(of.value, of.low, of.high) for of in found]).T
+    panel.errorbar(
+        places, values, (values - lows, highs - values), **look, marker="o", ms=4, linewidth=1.2
+    )
 
 
 def part_axis(panel: Axes, parts: Sequence[float]) -> None:
