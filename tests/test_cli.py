@@ -413,7 +413,7 @@ BAD_VALUES = [
     (
         "--world-options smell=1",
         "options of toyroom must be among render_mode, width, height, beams, toy_direction, "
-        "sensor_noise, actuator_noise, keyframe_every, substeps, got smell",
+        "sensor_noise, actuator_noise, f1_end, f2_end, keyframe_every, substeps, got smell",
     ),
     ("--world-options beams=four", "beams must be a whole number, got four"),
     ("--world-options beams=2.5", "beams must be a whole number, got 2.5"),
@@ -444,7 +444,7 @@ BAD_VALUES = [
     (
         "--world kinematic --world-options device=cpu",
         "options of kinematic must be among render_mode, width, height, beams, toy_direction, "
-        "sensor_noise, actuator_noise, check_actions, got device",
+        "sensor_noise, actuator_noise, f1_end, f2_end, check_actions, got device",
     ),
     ("--world kinematic --world-options beams=2.5", "beams must be a whole number, got 2.5"),
     (
