@@ -127,7 +127,7 @@ def test_tensorboard_finds_settings_and_measures(comparison: Comparison) -> None
     start = parse_session_start_info_plugin_data(content.plugin_data.content)
     assert start.hparams["variant"].string_value == "narrow"
     assert start.hparams["window"].number_value == 75
-    assert start.hparams["seed"].string_value == "100"
+    assert start.hparams["seed"].string_value == "100 to 102"
     (value,) = events.Scalars("measures/n_regions")
     assert (value.value, value.step) == (load_run(run).summary["n_regions"], 1500)
 

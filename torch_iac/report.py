@@ -103,7 +103,7 @@ def _tell_tensorboard(
     sessions = [(variant, run) for variant, of in runs.items() for run in of]
     differing = differing_settings([run for _, run in sessions])
     settings = [
-        {"variant": variant, "seed": str(run.seeds[0]), **own}  # numbers get 5 digits there
+        {"variant": variant, "seed": _seeds(run), **own}
         for (variant, run), own in zip(sessions, differing, strict=True)
     ]
     write_experiment(folder, settings, {measure.name: measure.label for measure in measures})
@@ -112,6 +112,12 @@ def _tell_tensorboard(
         mine = [row for row in rows if row["run"] == place]
         means = {measure.name: mean_of(mine, measure).value for measure in measures}
         write_session(run.folder, own, means, run.summary["n_decisions"])
+
+
+def _seeds(run: Run) -> str:
+    """Return the seeds of a run as a text, since TensorBoard gives numbers five digits."""
+    first, last = run.seeds[0], run.seeds[-1]
+    return str(first) if first == last else f"{first} to {last}"
 
 
 def _text(
