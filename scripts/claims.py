@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
-from scripts.study import F2, tests_of
+from scripts.study import F2, recorded, tests_of
 from torch_iac.generalisation import Transitions, plateau
 from torch_iac.intervals import Estimate, difference, mean
 from torch_iac.measures import FOCUS_SHARES, SETTLING, leaf_purity
@@ -248,9 +248,12 @@ def nearest(run: Run, asked: Transitions) -> tuple[Values, Values]:
         How far it is, and the absolute error if its outcome were the prediction, scaled; each of
         shape `(A, N)`.
     """
-    points, lived = (_scaled(rows, run.space.situation) for rows in _situations(run, asked))
-    truth, outcomes = (_scaled(rows, run.space.outcomes) for rows in _outcomes(run, asked))
-    columns = [i for i, d in enumerate(run.space.situation) if d.name in MATTERS]
+    situation, outcome = run.space.situation, run.space.outcomes
+    points = _scaled(np.concatenate([asked.actions, asked.sensors], axis=1), situation)
+    lived = _scaled(recorded(run, run.situation_columns), situation)
+    truth = _scaled(asked.outcomes, outcome)
+    outcomes = _scaled(recorded(run, (f"outcome/{d.name}" for d in outcome)), outcome)
+    columns = [i for i, d in enumerate(situation) if d.name in MATTERS]
     in_f2 = run.column("zone") == F2
     distances, errors = [], []
     for agent, mine in enumerate(in_f2.T):
@@ -258,18 +261,6 @@ def nearest(run: Run, asked: Transitions) -> tuple[Values, Values]:
         distances.append(found[0])
         errors.append(np.abs(outcomes[mine, agent][found[1]] - truth).mean(axis=1))
     return np.array(distances), np.array(errors)
-
-
-def _situations(run: Run, asked: Transitions) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the transitions' situations `(N, D)` and a run's `(T, A, D)`, raw."""
-    lived = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
-    return np.concatenate([asked.actions, asked.sensors], axis=1), lived
-
-
-def _outcomes(run: Run, asked: Transitions) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the transitions' outcomes `(N, K)` and a run's `(T, A, K)`, raw."""
-    names = (f"outcome/{dimension.name}" for dimension in run.space.outcomes)
-    return asked.outcomes, np.stack([run.column(name) for name in names], axis=-1)
 
 
 def _scaled(values: NDArray[Any], dimensions: Sequence[Dimension]) -> Values:

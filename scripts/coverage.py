@@ -17,11 +17,11 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from scripts.claims import gaps, in_words, nearest
+from scripts.claims import in_words, nearest
 from scripts.reproduce_paper import DRIVES, SETS, VARIANTS, life_of
-from scripts.study import KINEMATIC, live_all, sets_aside
+from scripts.study import KINEMATIC, live_all, recorded, sets_aside
 from torch_iac import IAC, IACConfig
-from torch_iac.generalisation import Transitions, errors_on
+from torch_iac.generalisation import errors_on
 from torch_iac.intervals import mean
 from torch_iac.runs import Run
 
@@ -65,48 +65,45 @@ def main(study: Study) -> None:
 def row(run: Run, n_robots: int) -> list[str]:
     """Return what is printed of the first robots of a run."""
     sets = sets_aside(KINEMATIC, ())
-    lived = told(run, np.arange(run.n_decisions)[:, None].repeat(n_robots, axis=1))
     rng = np.random.default_rng(SHUFFLE_SEED)
-    orders = [rng.permutation(run.n_decisions) for _ in range(n_robots)]
-    shuffled = told(run, np.stack(orders, axis=1))
+    shuffled = [rng.permutation(run.n_decisions) for _ in range(n_robots)]
+    orders = (
+        np.arange(run.n_decisions)[:, None].repeat(n_robots, axis=1),
+        np.stack(shuffled, axis=1),
+    )
+    lives = decisions(run, n_robots)
+    agents = [told(run, lives, order) for order in orders]
     cells = []
     for which in SETS:
-        asked = sets[which]
-        cells.append(in_words(mean(gaps([run], asked)[:n_robots]), ".3f"))
-        cells.append(in_words(mean(nearest(run, asked)[1][:n_robots].mean(axis=1)), ".4f"))
-        cells += [in_words(mean(errors(agent, asked)), ".4f") for agent in (lived, shuffled)]
+        distances, errors = (of[:n_robots].mean(axis=1) for of in nearest(run, sets[which]))
+        cells += [in_words(mean(distances), ".3f"), in_words(mean(errors), ".4f")]
+        cells += [in_words(mean(errors_on(sets[which], of).absolute), ".4f") for of in agents]
     return cells
 
 
-def told(run: Run, orders: NDArray[np.int64]) -> IAC:
-    """Return robots to which the decisions of a run were told, in orders `(T, A)`."""
-    n_robots = orders.shape[1]
-    agent = IAC(run.space, IACConfig(), run.seeds[:n_robots])
-    actions, sensors, after = (part[:, :n_robots] for part in decisions(run))
-    robots = np.arange(n_robots)
-    for order in tqdm(orders, unit="decision", disable=None, leave=False):
-        agent.take(actions[order, robots], sensors[order, robots])
-        agent.observe(after[order, robots])
-    return agent
-
-
-def decisions(run: Run) -> tuple[Values, Values, Values]:
-    """Return a run's actions, and its sensors before and after, `(T, A, ...)`.
+def decisions(run: Run, n_robots: int) -> tuple[Values, Values, Values]:
+    """Return the first robots' actions, and their sensors before and after, `(T, A, ...)`.
 
     After an action only what is predicted is recorded, and nothing else is learnt from; the other
     sensors are given as they were before.
     """
-    situations = np.stack([run.column(name) for name in run.situation_columns], axis=-1)
+    situations = recorded(run, run.situation_columns)[:, :n_robots]
     actions, sensors = np.split(situations, [len(run.space.actions)], axis=-1)
     after = sensors.copy()
-    for column, dimension in zip(run.space.outcome_columns, run.space.outcomes, strict=True):
-        after[..., column] = run.column(f"outcome/{dimension.name}")
+    names = (f"outcome/{dimension.name}" for dimension in run.space.outcomes)
+    after[..., list(run.space.outcome_columns)] = recorded(run, names)[:, :n_robots]
     return actions, sensors, after
 
 
-def errors(agent: IAC, asked: Transitions) -> Values:
-    """Return the mean absolute error of each robot, scaled."""
-    return np.asarray(errors_on(asked, agent).absolute)
+def told(run: Run, lives: tuple[Values, Values, Values], orders: NDArray[np.int64]) -> IAC:
+    """Return new robots to which the decisions of a run were told, in orders `(T, A)`."""
+    actions, sensors, after = lives
+    robots = np.arange(orders.shape[1])
+    agent = IAC(run.space, IACConfig(), run.seeds[: len(robots)])
+    for order in tqdm(orders, unit="decision", disable=None, leave=False):
+        agent.take(actions[order, robots], sensors[order, robots])
+        agent.observe(after[order, robots])
+    return agent
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from scripts.study import is_whole
+from scripts.study import clear_unfinished, recorded
 from torch_iac.cli import main as torch_iac
 from torch_iac.figures import STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.intervals import band
@@ -81,7 +81,7 @@ def tell_choices(study: Study) -> None:
 def run_of(out: Path, world: str, hold: int, drive: str, n_robots: int, n_steps: int) -> Run:
     """Return a run of all robots in one world; it is run if it is not there yet."""
     folder = out / f"{world}-hold-{hold}-{drive}-{n_robots}-robots-{n_steps}-steps"
-    if not is_whole(folder):
+    if clear_unfinished(folder):
         words = f"train --world {world} --hold {hold} --drive {drive} --no-mp"
         numbers = f"--agents {n_robots} --steps {n_steps}"
         torch_iac([*words.split(), *numbers.split(), "--out", str(folder)])
@@ -90,7 +90,7 @@ def run_of(out: Path, world: str, hold: int, drive: str, n_robots: int, n_steps:
 
 def actions(run: Run) -> NDArray[Any]:
     """Return what was done, shape `(T, A, actions)`."""
-    return np.stack([run.column(f"action/{of.name}") for of in run.space.actions], axis=-1)
+    return recorded(run, (f"action/{of.name}" for of in run.space.actions))
 
 
 def cuts_on_actions(run: Run) -> str:

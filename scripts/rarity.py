@@ -31,6 +31,10 @@ from torch_iac.intervals import Estimate, mean
 from torch_iac.runs import Run
 
 Values = NDArray[np.float64]
+Place = tuple[float, str]
+"""The part of the sounds that is in f2, and the kind of robots."""
+Errors = Mapping[tuple[Place, str], Values]
+"""The last error of each robot, by its place and the test set."""
 
 COMMON = 1 / 3
 """The part of the sounds that is in f2, and in f3, in the paper's room."""
@@ -72,11 +76,16 @@ def main(study: Study) -> None:
     """Run what is not there yet, then print and draw."""
     parts = (COMMON, *study.parts)
     runs = runs_of(study, parts)
-    print_table(runs)
-    save(draw(runs, parts), study.out / "rarity.png")
+    errors = {
+        (place, which): last_error(of, which, "absolute")
+        for place, of in runs.items()
+        for which in SETS
+    }
+    print_table(runs, errors)
+    save(draw(errors, parts), study.out / "rarity.png")
 
 
-def runs_of(study: Study, parts: Sequence[float]) -> dict[tuple[float, str], list[Run]]:
+def runs_of(study: Study, parts: Sequence[float]) -> dict[Place, list[Run]]:
     """Return the runs, by the part of the sounds that is in f2 and by the kind of robots."""
     places = [(part, kind + drive) for part in parts for kind in KINDS for drive in DRIVES]
     seeds = range(study.seeds)
@@ -103,7 +112,7 @@ def variant_of(part: float, name: str) -> Variant:
     return replace(VARIANTS[name], options={"f1_end": 1 - 2 * part, "f2_end": 1 - part})
 
 
-def print_table(runs: Mapping[tuple[float, str], Sequence[Run]]) -> None:
+def print_table(runs: Mapping[Place, Sequence[Run]], errors: Errors) -> None:
     """Print how robots spend their time and predict f2, beside RANDOM of their own kind."""
     titles = ["sounds in f2", "robots", "time in f1", "in f2"]
     titles += [t for where in SETS.values() for t in (f"error: {where}", "of RANDOM's")]
@@ -112,28 +121,25 @@ def print_table(runs: Mapping[tuple[float, str], Sequence[Run]]) -> None:
         cells = [f"{part:.0%}", name]
         cells += [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
         for which in SETS:
-            errors = last_error(mine, which, "absolute")
-            found = beside_random(runs, part, name, which)
-            cells += [in_words(mean(errors), ".4f"), in_words(found, ".2f")]
+            cells.append(in_words(mean(errors[(part, name), which]), ".4f"))
+            cells.append(in_words(beside_random(errors, part, name, which), ".2f"))
         print(f"| {' | '.join(cells)} |")
 
 
-def beside_random(
-    runs: Mapping[tuple[float, str], Sequence[Run]], part: float, name: str, which: str
-) -> Estimate:
+def beside_random(errors: Errors, part: float, name: str, which: str) -> Estimate:
     """Return how many times RANDOM's last error on a test set theirs is."""
-    random = runs[part, f"{name.partition('-')[0]}-random"]
-    return ratio(*(last_error(of, which, "absolute") for of in (runs[part, name], random)))
+    random = f"{name.partition('-')[0]}-random"
+    return ratio(errors[(part, name), which], errors[(part, random), which])
 
 
-def draw(runs: Mapping[tuple[float, str], Sequence[Run]], parts: Sequence[float]) -> Figure:
+def draw(errors: Errors, parts: Sequence[float]) -> Figure:
     """Return the errors beside RANDOM's over how common f2 is, on both test sets."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 3.0), layout="constrained")
         panels = figure.subplots(1, len(SETS), sharey=True)
         for panel, (which, title) in zip(panels, SETS.items(), strict=True):
             for number, (name, look) in enumerate(LOOKS.items()):
-                found = [beside_random(runs, part, name, which) for part in parts]
+                found = [beside_random(errors, part, name, which) for part in parts]
                 shifted = np.array(parts) * (1 + 0.04 * (number - 1.5))  # so that bars stay apart
                 draw_estimates(panel, shifted, found, look)
             panel.axhline(1, color="0.6", linewidth=0.8, zorder=0)

@@ -28,7 +28,7 @@ from scripts.claims import each, focus, gaps, in_order, in_words, last_error
 from scripts.reproduce_paper import SETS, TEST_EVERY
 from scripts.reproduce_paper import VARIANTS as PAPERS
 from scripts.reproduce_paper import life_of as of_paper
-from scripts.study import WORLD, Diary, Life, is_whole, live, sets_aside
+from scripts.study import WORLD, Diary, Life, clear_unfinished, live, sets_aside
 from torch_iac.charts import Curves, draw_shares, save
 from torch_iac.intervals import difference
 from torch_iac.runs import Run, load_run
@@ -122,7 +122,7 @@ def others(study: Study, name: str) -> list[Run]:
 
 def maximise(kind: Learner, life: Life) -> None:
     """Let SAC maximise the learning progress of a robot's experts, unless it did already."""
-    if is_whole(life.folder):
+    if not clear_unfinished(life.folder):
         return
     (seed,) = life.seeds
     world = gym.make(life.world)

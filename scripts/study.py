@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 import torch_iac as iac
@@ -74,12 +75,12 @@ def live(life: Life) -> None:
     live_together([life])
 
 
-def is_whole(folder: Path) -> bool:
-    """Return whether a run is there; what an interrupted study left of one is cleared away."""
-    whole = (folder / "summary.json").exists()
-    if not whole:
+def clear_unfinished(folder: Path) -> bool:
+    """Clear away what an interrupted study left of a run; return whether it is yet to be lived."""
+    unfinished = not (folder / "summary.json").exists()
+    if unfinished:
         shutil.rmtree(folder, ignore_errors=True)
-    return whole
+    return unfinished
 
 
 def live_together(lives: Sequence[Life]) -> None:
@@ -90,7 +91,7 @@ def live_together(lives: Sequence[Life]) -> None:
     Args:
         lives: Runs of one length, in one kind of world; those that are there already are left out.
     """
-    lives = [life for life in lives if not is_whole(life.folder)]
+    lives = [life for life in lives if clear_unfinished(life.folder)]
     if not lives:
         return
     torch.set_num_threads(1)
@@ -219,6 +220,11 @@ def sets_aside(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Tr
     }
     env.close()
     return sets
+
+
+def recorded(run: Run, names: Iterable[str]) -> NDArray[Any]:
+    """Return some columns of what a run recorded, shape `(T, A, columns)`."""
+    return np.stack([run.column(name) for name in names], axis=-1)
 
 
 def tests_of(runs: Sequence[Run], which: str, error: str) -> tuple[np.ndarray, np.ndarray]:
