@@ -8,14 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torch_iac.meta import (
-    SMALL_ERROR,
-    ErrorExpectation,
-    ImprovementPredictor,
-    MetaPredictor,
-    filled_bins,
-)
-from torch_iac.meta import gamma_loss as loss
+from torch_iac.losses import SMALL_ERROR
+from torch_iac.losses import gamma_loss as loss
+from torch_iac.meta import ErrorExpectation, ImprovementPredictor, MetaPredictor, filled_bins
 
 CPU = torch.device("cpu")
 SEEDS = range(8)

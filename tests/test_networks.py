@@ -5,7 +5,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from torch_iac.networks import MLP, Factory, StackedNetworks, Training, squared_error
+from torch_iac.losses import squared_error
+from torch_iac.networks import MLP, Factory, StackedNetworks, Training
 
 CPU = torch.device("cpu")
 N_INPUTS, N_OUTPUTS, SIZE = 3, 2, 8

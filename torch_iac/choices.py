@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from torch_iac import kernels
+
 
 @runtime_checkable
 class Choice(Protocol):
@@ -80,7 +82,7 @@ class Softmax:
         """Return which candidate each agent takes, shape `(A,)`."""
         # Less the best, so that no temperature is too low to divide by.
         below = worth - worth.amax(dim=1, keepdim=True)
-        return _sample(worth, (below / self.temperature).softmax(dim=1), numbers)
+        return _sample(worth, kernels.exp(below / self.temperature), numbers)
 
 
 def _sample(worth: Tensor, weights: Tensor, numbers: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from typing import ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 import torch
 from torch import Tensor
 
+from torch_iac import kernels
 from torch_iac.counts import check_count
 from torch_iac.examples import Examples
 from torch_iac.meta import ErrorExpectation, RecentNetworks
@@ -201,7 +202,7 @@ class Novelty:
             )
             offsets = held.view(*candidates.rows.shape, -1)
             squares = squares + (offsets - candidates.situations[:, :, dimension, None]).square()
-        return squares.amin(dim=2).sqrt().double()
+        return kernels.sqrt(squares.amin(dim=2)).double()
 
 
 @dataclass(frozen=True)

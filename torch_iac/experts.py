@@ -11,19 +11,17 @@ from typing import Literal, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from torch_iac import kernels
 from torch_iac.counts import check_count
 from torch_iac.examples import NO_EXAMPLE_OUTCOME, Examples
-from torch_iac.networks import MLP, Factory, StackedNetworks, Training, pick, squared_error
+from torch_iac.losses import squared_error
+from torch_iac.networks import MLP, Factory, StackedNetworks, Training, pick
 from torch_iac.randomness import RandomStream
 from torch_iac.regions import Split
 from torch_iac.state import Stateful
 
 MINIBATCH_STREAM = 1
 """Which of an agent's random streams the examples that networks learn from are drawn from."""
-
-AGENTS_IN_CACHE = 64
-"""Of so many agents the examples of a region each are compared at once on a processor: they, and
-what is made of them, stay in its cache."""
 
 
 class ExpertPool(Protocol):
@@ -113,7 +111,7 @@ class KNNExperts(Stateful):
 
     def predict(self, examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
         """Return the predicted outcomes, shape `(A, K)`, in scaled units."""
-        distances = _squared_distances(examples, rows, situations)  # (A, N)
+        distances = kernels.squared_distances(examples.situations, rows, situations)  # (A, N)
         if self.k == 1:
             return examples.outcomes[rows, :, _first_least(distances)]
         outcomes = examples.outcomes.index_select(0, rows)  # (A, K, N)
@@ -121,24 +119,15 @@ class KNNExperts(Stateful):
         is_example = distances.gather(1, nearest).isfinite()[:, None]
         neighbours = outcomes.gather(2, nearest[:, None].expand(-1, outcomes.shape[1], -1))
         n_neighbours = is_example.sum(-1)
-        mean = (neighbours * is_example).sum(-1) / n_neighbours
-        return torch.where(n_neighbours > 0, mean, NO_EXAMPLE_OUTCOME)
+        # Outcomes are multiples of `UNIT_STEP`: in float64 their sum is exact in any order.
+        mean = (neighbours * is_example).double().sum(-1) / n_neighbours
+        return torch.where(n_neighbours > 0, mean, NO_EXAMPLE_OUTCOME).float()
 
     def learn(self, examples: Examples, rows: Tensor, step: int) -> None:
         """Do nothing, for rows `(A,)`: the example is stored already."""
 
     def split(self, examples: Examples, split: Split) -> None:
         """Do nothing: the examples are parted already."""
-
-
-def _squared_distances(examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
-    """Return the squared distance of each situation to each example of its row, `(A, N)`."""
-    at_once = AGENTS_IN_CACHE if rows.device.type == "cpu" else len(rows)
-    if len(rows) > at_once:
-        parts = zip(*(torch.split(of, at_once) for of in (rows, situations)), strict=True)
-        return torch.cat([_squared_distances(examples, *part) for part in parts])
-    offsets = examples.situations.index_select(0, rows).sub_(situations[:, :, None])
-    return offsets.square_().sum(dim=1)
 
 
 def _first_least(distances: Tensor) -> Tensor:

@@ -9,17 +9,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_iac import kernels
 from torch_iac.counts import check_count
-from torch_iac.networks import MLP, Loss, StackedNetworks, Training, pick, squared_error
+from torch_iac.losses import SMALL_ERROR, Loss, gamma_loss, squared_error
+from torch_iac.networks import MLP, StackedNetworks, Training, pick
 from torch_iac.randomness import RandomStream
 from torch_iac.state import Stateful
 
 META_STREAM = 2
 """Which of an agent's random streams the decisions that MP learns from are drawn from."""
-
-SMALL_ERROR = 1e-4
-"""Added to errors before their logarithm is learnt, so that MP can come back from expecting none;
-taken off again when it is asked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +112,7 @@ class ErrorExpectation(Stateful):
 
     def expect(self, situations: Tensor) -> Tensor:
         """Return the expected error in situations `(A, C, D)`, shape `(A, C)`, in scaled units."""
-        return self._networks.predict(situations).exp_().sub_(SMALL_ERROR).clamp_(0.0, 1.0)
+        return kernels.exp(self._networks.predict(situations)).sub_(SMALL_ERROR).clamp_(0.0, 1.0)
 
     def learn(self, situations: Tensor, errors: Tensor, step: int) -> Tensor:
         """Learn from one situation `(A, D)` and error `(A,)` each; return the losses `(A,)`.
@@ -188,12 +186,3 @@ def filled_bins(situations: Tensor, bins: Tensor) -> Tensor:
     Deep Learning, the piecewise linear encoding.
     """
     return (situations[..., None] * len(bins)).sub(bins).clamp_(0.0, 1.0).flatten(-2)
-
-
-def gamma_loss(outputs: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what MP makes smaller, least for log(mean error + `SMALL_ERROR`), and its slope.
-
-    All are of one shape; errors are in scaled units.
-    """
-    ratio = (errors + SMALL_ERROR) * torch.exp(-outputs)
-    return ratio + outputs, 1 - ratio

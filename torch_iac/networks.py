@@ -15,16 +15,14 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
+from torch_iac import kernels
 from torch_iac.counts import check_count
+from torch_iac.losses import LOSSES, Loss
 from torch_iac.state import Stateful
 from torch_iac.table import reserve
 
 Factory = Callable[[int, int], nn.Module]
 """Makes a network from its numbers of inputs and outputs."""
-
-Loss = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Compares predictions with targets, both `(A, B, K)`, element by element: the losses, and their
-slopes, the derivatives by the predictions."""
 
 Weights = dict[str, Tensor]
 """The weights of some networks, or their gradients, by name, each `(A, ...)`."""
@@ -35,7 +33,7 @@ ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.
 MOST_RATE = 1e38
 """Float32 holds no larger step size."""
 
-TINY = 1e-18
+TINY = 1e-17
 """Added to gradients, far below what changes anything: the optimiser's memory of a unit that has
 gone quiet would else fade into denormal numbers, with which processors are many times slower."""
 
@@ -61,7 +59,7 @@ class MLP:
         """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`."""
         layers: list[nn.Module] = []
         for n_in, n_out in self.sizes(n_inputs, n_outputs):
-            layers += [nn.Linear(n_in, n_out), nn.ReLU()]
+            layers += [_linear_layer(n_in, n_out), nn.ReLU()]
         return nn.Sequential(*layers[:-1])
 
     def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
@@ -104,9 +102,10 @@ class Training:
 class StackedNetworks(Stateful):
     """Networks of one shape; row `i` of each tensor belongs to network `i`.
 
-    A `Sequential` of linear and elementwise layers runs as batched matrix products, anything else
-    through `torch.func.vmap`. On the CPU a network of linear layers and ReLU learns the same to the
-    bit whatever other rows there are; other modules may differ in the last digits.
+    On the CPU linear layers with ReLU between them run in `kernels`: the same to the bit on every
+    x86-64 processor, whatever other rows there are. Any other `Sequential` of linear and
+    elementwise layers runs as batched matrix products, any other module through `torch.func.vmap`;
+    these may differ in the last digits, from one processor to another and alone from in company.
 
     Args:
         factory: Makes one network.
@@ -140,6 +139,7 @@ class StackedNetworks(Stateful):
         self._shapes = shapes
         self._sizes = [shape.numel() for shape in shapes.values()]
         self._layers = _linear_layers(self._template)
+        self._perceptron = _perceptron_sizes(self._layers) if device.type == "cpu" else []
         self._weights = torch.empty(0, sum(self._sizes), device=device)
         self._mean = torch.empty_like(self._weights)
         self._square = torch.empty_like(self._weights)
@@ -170,7 +170,10 @@ class StackedNetworks(Stateful):
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
         """Return what networks `(A,)` make of inputs `(A, B, n_inputs)`: `(A, B, n_outputs)`."""
-        return self._forward(self._weights.index_select(0, rows), inputs)
+        if self._perceptron:
+            return kernels.perceptrons(self._weights, rows, self._perceptron, inputs)
+        named = self._named(self._weights.index_select(0, rows))
+        return self._activations(named, inputs)[-1] if self._layers else self._call(named, inputs)
 
     def train(
         self, rows: Tensor, inputs: Tensor, targets: Tensor, minibatch_size: int, loss: Loss
@@ -187,6 +190,12 @@ class StackedNetworks(Stateful):
         Returns:
             Shape `(A,)`, the loss in the last minibatch, before its step.
         """
+        if self._perceptron and loss in LOSSES:
+            return kernels.train_perceptrons(
+                *(self._weights, self._memory, rows, self._perceptron, inputs, targets),
+                *(minibatch_size, LOSSES.index(loss), self._training.optimizer),
+                *(self._training.learning_rate, TINY),
+            )
         weights = self._weights.index_select(0, rows)
         mean, square, filled = (column.index_select(0, rows) for column in self._memory)
         gradient = torch.empty_like(weights)
@@ -222,10 +231,6 @@ class StackedNetworks(Stateful):
         scale = (square / filled[:, 1:]).sqrt_().add_(1e-8).mul_(filled[:, :1])
         weights.addcdiv_(mean, scale, value=-self._training.learning_rate)
 
-    def _forward(self, weights: Tensor, inputs: Tensor) -> Tensor:
-        named = self._named(weights)
-        return self._activations(named, inputs)[-1] if self._layers else self._call(named, inputs)
-
     def _by_autograd(
         self, named: Weights, gradient: Weights, inputs: Tensor, targets: Tensor, loss: Loss
     ) -> Tensor:
@@ -254,10 +259,10 @@ class StackedNetworks(Stateful):
             if not isinstance(layer, nn.Linear):
                 slopes = _slopes_before(layer, before, slopes)
                 continue
-            gradient[f"{name}.weight"].copy_(_product(slopes.mT, before))
+            gradient[f"{name}.weight"].copy_(torch.bmm(slopes.mT, before))
             torch.sum(slopes, dim=1, out=gradient[f"{name}.bias"])
             if activations:
-                slopes = _product(slopes, named[f"{name}.weight"])
+                slopes = torch.bmm(slopes, named[f"{name}.weight"])
         return losses
 
     def _activations(self, named: Weights, inputs: Tensor) -> list[Tensor]:
@@ -266,7 +271,7 @@ class StackedNetworks(Stateful):
         for name, layer in self._layers:
             if isinstance(layer, nn.Linear):
                 weight, bias = named[f"{name}.weight"], named[f"{name}.bias"]
-                activations.append(_linear(activations[-1], weight, bias[:, None]))
+                activations.append(torch.baddbmm(bias[:, None], activations[-1], weight.mT))
             else:
                 activations.append(layer(activations[-1]))
         return activations
@@ -321,24 +326,17 @@ def pick(examples: Tensor, picks: Tensor) -> Tensor:
     return examples.gather(2, picks[:, None].expand(-1, examples.shape[1], -1)).mT
 
 
-def squared_error(predictions: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the squared error of each prediction, and its slope; all of one shape."""
-    difference = predictions - targets
-    return difference.square(), difference.mul_(2)
+def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
+    """Return a linear layer with torch's usual initial weights, the same on every processor.
 
-
-def _linear(inputs: Tensor, weights: Tensor, biases: Tensor) -> Tensor:
-    """Return inputs `(A, B, n_in)` through each network's own layer, to the bit as if alone."""
-    if 1 in weights.shape[1:]:
-        return _product(inputs, weights.mT).add_(biases)
-    return torch.baddbmm(biases, inputs, weights.mT)
-
-
-def _product(left: Tensor, right: Tensor) -> Tensor:
-    """Return the matrix products of `(A, l, m)` and `(A, m, n)`, to the bit as if alone."""
-    if 1 in (*left.shape[1:], right.shape[2]):  # vectors round otherwise alone than in a batch
-        return (left[..., None] * right[:, None]).sum(dim=2)
-    return torch.bmm(left, right)
+    They are uniform within 1 / sqrt(n_inputs). torch's own way to draw them, `uniform_`, rounds as
+    the processor does.
+    """
+    layer = nn.Linear(n_inputs, n_outputs)
+    with torch.no_grad():
+        for weights in (layer.weight, layer.bias):
+            weights.copy_((torch.rand(weights.shape) * 2 - 1) * (1 / math.sqrt(n_inputs)))
+    return layer
 
 
 def _slopes_before(layer: nn.Module, before: Tensor, slopes: Tensor) -> Tensor:
@@ -361,3 +359,12 @@ def _linear_layers(module: nn.Module) -> list[tuple[str, nn.Module]]:
     known = all(type(layer) in (nn.Linear, *ELEMENTWISE) for layer in module)
     own = len(set(linear)) == len(linear) and all(layer.bias is not None for layer in linear)
     return layers if known and own else []
+
+
+def _perceptron_sizes(layers: list[tuple[str, nn.Module]]) -> list[int]:
+    """Return the sizes of linear layers that have ReLU between them; none for any other layers."""
+    linear = [layer for _, layer in layers[::2] if isinstance(layer, nn.Linear)]
+    between = [layer for _, layer in layers[1::2] if isinstance(layer, nn.ReLU)]
+    if len(linear) + len(between) != len(layers) or len(between) != len(linear) - 1:
+        return []
+    return [*(layer.in_features for layer in linear), linear[-1].out_features]

@@ -83,12 +83,13 @@ class Scale:
 
     def to_unit(self, raw: Tensor) -> Tensor:
         """Return raw values `(..., n)` scaled to [0, 1], clipped, in multiples of `UNIT_STEP`."""
-        steps = torch.addcmul(self._first_step, raw, self._steps)
+        # No `addcmul`, which some processors round once and others twice.
+        steps = raw * self._steps + self._first_step
         return steps.clamp_(0.0, 1 / UNIT_STEP).round_().mul_(UNIT_STEP)
 
     def to_raw(self, unit: Tensor) -> Tensor:
         """Return scaled values `(..., n)` in raw units."""
-        return torch.addcmul(self._low, unit, self._span)
+        return unit * self._span + self._low
 
     def contains(self, raw: Tensor) -> bool:
         """Return whether all values `(..., n)` are numbers in their bounds, rounding forgiven."""
