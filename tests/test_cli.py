@@ -125,7 +125,8 @@ def test_a_config_says_how_to_run_it_again(run: Run) -> None:
     }
     assert config["iac"] == IACConfig(meta=MetaPredictor()).to_json()
     assert (config["preset"], config["steps"], config["seeds"]) == ("iac2004", 300, [0])
-    assert set(config["versions"]) >= {"python", "torch_iac", "torch", "pybullet"}
+    assert set(config["versions"]) >= {"python", "torch_iac", "torch"}
+    assert any(name.startswith("pybullet") for name in config["versions"])
     assert list(config["space"]["sensors"]) == SENSORS
 
 

@@ -79,7 +79,7 @@ SEEDS = 2**32
 MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
 """Beyond use: a decision, or what comes before the first, would take minutes."""
 
-PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "mujoco")
+PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "pybullet-arm64", "mujoco")
 """What config.json tells the versions of."""
 
 log = logging.getLogger(__name__)
