@@ -32,6 +32,7 @@ from unittest import mock
 import tyro
 
 from torch_iac import cli
+from torch_iac.command import main as torch_iac
 from torch_iac.worlds import WORLDS as NAMED_WORLDS
 
 PARTS = ("preset", "experts", "drive", "choice")
@@ -250,7 +251,7 @@ def _typed(words: Sequence[str]) -> tuple[int, str, str]:
     wide = mock.patch.dict(os.environ, COLUMNS="120")
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), wide:
         try:
-            cli.main(words)
+            torch_iac(words)
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 1
     texts = []

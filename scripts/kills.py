@@ -35,10 +35,10 @@ OFTEN = {"max-examples": 30, "window": 10, "delay": 10, "log-every": 10, "checkp
 # Checkpoints and parts as often as asked for, whatever they cost.
 COMMAND = """
 import math, sys
-from torch_iac import cli, recording, training
+from torch_iac import command, recording, training
 training.SHARE_FOR_CHECKPOINTS = math.inf
 recording.DECISIONS_PER_PART = 7
-cli.main(sys.argv[1:])
+command.main(sys.argv[1:])
 """
 
 

@@ -20,7 +20,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from scripts.study import clear_unfinished, recorded
-from torch_iac.cli import main as torch_iac
+from torch_iac.command import main as torch_iac
 from torch_iac.figures import STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.intervals import band
 from torch_iac.runs import Run, load_run

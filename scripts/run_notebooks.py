@@ -19,9 +19,6 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 WIDGET = "application/vnd.jupyter.widget-view+json"
 """What an output says that only shows in a running notebook."""
 
-BANNER = "pybullet build time"
-"""How what pybullet says when it is imported begins."""
-
 MOST_SECONDS = 3600
 """A cell that takes longer is stopped."""
 
@@ -74,7 +71,7 @@ def tidy(notebook: NotebookNode) -> None:
 
 
 def _is_kept(output: NotebookNode) -> bool:
-    return WIDGET not in output.get("data", {}) and not output.get("text", "").startswith(BANNER)
+    return WIDGET not in output.get("data", {})
 
 
 if __name__ == "__main__":

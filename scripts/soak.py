@@ -21,7 +21,7 @@ import tyro
 
 from torch_iac.runs import CHECKPOINTS, EVENTS, REGIONS, STEPS, load_run
 
-COMMAND = "import sys; from torch_iac import cli; cli.main(sys.argv[1:])"
+COMMAND = "import sys; from torch_iac.command import main; main(sys.argv[1:])"
 MIB = 2**20
 LOOK_EVERY = 0.5  # s
 

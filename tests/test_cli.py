@@ -32,7 +32,7 @@ from torch_iac import (
     Softmax,
     Step,
 )
-from torch_iac.cli import main
+from torch_iac.command import main
 from torch_iac.recording import Recorder
 from torch_iac.runs import Run, load_run
 from torch_iac.settings import DRIVES, DriveName
@@ -396,8 +396,8 @@ def test_help_shows_the_presets_numbers() -> None:
 def test_help_names_the_commands() -> None:
     answer = typed("--help")
     assert answer.code == 0
-    assert "• train    Let robots develop in a world" in answer.out
-    assert "• figures  Draw a run into its folder" in answer.out
+    assert "  train    Let robots develop in a world" in answer.out
+    assert "  figures  Draw a run into its folder" in answer.out
 
 
 # Bad input.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from torch_iac.cli import main
+from torch_iac.command import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -97,7 +97,6 @@ def test_what_only_a_running_notebook_shows_is_left_out() -> None:
     cell = nbformat.v4.new_code_cell("x")
     cell.outputs = [
         nbformat.v4.new_output("display_data", data=widget),
-        nbformat.v4.new_output("stream", name="stdout", text="pybullet build time: Jan 29 2025"),
         nbformat.v4.new_output("display_data", data={"image/png": ""}),
     ]
     notebook = nbformat.v4.new_notebook(

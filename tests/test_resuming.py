@@ -14,7 +14,7 @@ import pytest
 from tests.same_run import differences
 from torch_iac import cli, training
 from torch_iac.checkpoint import Checkpoints
-from torch_iac.cli import main
+from torch_iac.command import main
 from torch_iac.runs import CHECKPOINTS, load_run
 
 N_DECISIONS = 90

@@ -11,6 +11,8 @@ from zipfile import ZipFile
 
 import pytest
 
+import torch_iac
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"torch_iac": ROOT / "torch_iac", "torch_iac_envs": ROOT / "envs" / "torch_iac_envs"}
 LEFT_BEHIND = (".*", "__pycache__", "build", "dist", "*.egg-info", "runs")
@@ -73,7 +75,7 @@ def test_the_wheel_holds_both_packages_and_nothing_else(wheel: Path) -> None:
         for path in source.rglob("*")
         if path.is_file() and path.suffix != ".pyc"
     }
-    assert {"torch_iac/py.typed", "torch_iac_envs/py.typed"} <= names
+    assert {"torch_iac/py.typed", "torch_iac_envs/py.typed", "torch_iac/__init__.pyi"} <= names
 
 
 def test_the_wheel_works_where_it_is_installed(programs: Path, tmp_path: Path) -> None:
@@ -87,6 +89,10 @@ def test_the_wheel_works_where_it_is_installed(programs: Path, tmp_path: Path) -
         assert Path(place).resolve().is_relative_to(clean)
         assert Path(place).parent.name == package
     assert "Let robots develop" in answer(programs / "torch-iac", "--help", where=tmp_path)
-    report = answer(programs / "torch-iac", "train", "--steps", "3", where=tmp_path)
-    assert "The robot took 3 decisions" in report
-    assert (tmp_path / "runs").is_dir()
+    told = answer(programs / "torch-iac", "--version", where=tmp_path)
+    assert told == f"torch-iac {torch_iac.__version__}\n"
+    assert answer(programs / "python", "-m", "torch_iac", "--version", where=tmp_path) == told
+    report = answer(programs / "torch-iac", "train", "--steps", "300", where=tmp_path)
+    assert "The robot took 300 decisions" in report
+    (run,) = (tmp_path / "runs").iterdir()
+    assert (run / "summary.json").is_file()

@@ -3,10 +3,12 @@
 import os
 import threading
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from tests.lives import live
+from torch_iac.bars import tqdm
 from torch_iac.comparison import Job, alone
 from torch_iac.workers import carry_out, do, on_processes
 
@@ -79,3 +81,9 @@ def test_nothing_is_left_running(tmp_path: Path) -> None:
     jobs = [job(tmp_path, "fine")]
     carry_out({jobs[0]: 1}, on_processes(jobs, live, 4), stop=lambda: False)
     assert threading.active_count() == before
+
+
+def test_a_bar_takes_no_semaphore_that_a_killed_process_would_leave() -> None:
+    with mock.patch("multiprocessing.resource_tracker.register", side_effect=AssertionError):
+        tqdm(disable=None).close()
+    assert isinstance(tqdm.get_lock(), type(threading.RLock()))

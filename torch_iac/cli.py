@@ -1,24 +1,21 @@
-"""The command `torch-iac`."""
+"""What the commands of `torch-iac` do."""
 
 import logging
-import os
 import re
 import signal
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
-import tyro
-from tqdm import tqdm
 
 from torch_iac.agent import IAC
+from torch_iac.bars import tqdm
 from torch_iac.checkpoint import Checkpoints, identity
 from torch_iac.comparison import (
     PLAN,
@@ -31,17 +28,14 @@ from torch_iac.comparison import (
     tally_states,
 )
 from torch_iac.counts import check_count
-from torch_iac.figures import save_figures
 from torch_iac.memory import check_memory
+from torch_iac.options import Compare, Figures, Options, Replay, Resume, split_at_dashes
 from torch_iac.recording import Recorder
-from torch_iac.refusals import plain_refusals
-from torch_iac.report import save_report
+from torch_iac.refusals import leave
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
-from torch_iac.scenes import N_DECISIONS, Stage, find_stages, relive, stages_at
-from torch_iac.settings import Train, parse_train, settings_of
-from torch_iac.sheets import ROOM
+from torch_iac.scenes import find_stages, relive, stages_at
+from torch_iac.settings import Train, settings_of
 from torch_iac.training import World, train
-from torch_iac.video import Film, writer_for
 from torch_iac.workers import carry_out, on_processes, on_ray
 from torch_iac.worlds import OTHER_WORLD_BYTES, WORLD_BYTES, WORLDS
 
@@ -106,6 +100,8 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
         _develop(settings, agent, env, recorder)
     finally:
         env.close()
+    from torch_iac.figures import save_figures  # with matplotlib, of which training has no need
+
     save_figures(out)
     print(_report(load_run(out)))  # noqa: T201 - the command's answer
 
@@ -126,40 +122,23 @@ def _develop(settings: Train, agent: IAC, env: World, recorder: Recorder) -> Non
         raise OSError(f"{_sentence(error)}; {_how_to_go_on(out)}") from error
 
 
-@dataclass(frozen=True)
-class Resume:
-    """Go on with a run that was stopped or killed, from its last checkpoint, bit for bit.
+def resume(asked: Resume) -> None:
+    """Carry `torch-iac resume` out.
 
     Raises:
-        ValueError: `steps` is below 1 or too large.
+        FileNotFoundError: The folder holds no run.
+        ValueError: It is none of `torch-iac train`, or it has ended with as many decisions.
     """
-
-    run_folder: Annotated[Path, tyro.conf.Positional]
-    """The run folder."""
-    steps: int | None = None
-    """How many decisions each robot takes in all; by default as many as when the run began."""
-
-    def __post_init__(self) -> None:
-        if self.steps is not None:
-            check_count("steps", self.steps)
-
-    def run(self) -> None:
-        """Carry the command out.
-
-        Raises:
-            FileNotFoundError: The folder holds no run.
-            ValueError: It is none of `torch-iac train`, or it has ended with as many decisions.
-        """
-        run = load_run(self.run_folder)
-        words = _words_of(run)
-        settings = settings_of(words[2:])
-        steps = self.steps or run.config["steps"]
-        if (self.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
-            raise ValueError(
-                f"steps must be above the {run.n_decisions} that {self.run_folder} has ended with, "
-                f"got {steps}"
-            )
-        live(replace(settings, steps=steps), self.run_folder, words, resume=True)
+    run = load_run(asked.run_folder)
+    words = _words_of(run)
+    settings = settings_of(words[2:])
+    steps = asked.steps or run.config["steps"]
+    if (asked.run_folder / SUMMARY).exists() and steps <= run.n_decisions:
+        raise ValueError(
+            f"steps must be above the {run.n_decisions} that {asked.run_folder} has ended with, "
+            f"got {steps}"
+        )
+    live(replace(settings, steps=steps), asked.run_folder, words, resume=True)
 
 
 def _words_of(run: Run) -> list[str]:
@@ -174,109 +153,86 @@ def _words_of(run: Run) -> list[str]:
     return [str(word) for word in words]
 
 
-@dataclass(frozen=True)
-class Compare:
-    """Let robots of several variants develop, seed by seed, and report how they differ.
+def compare(asked: Compare, words: Sequence[str]) -> None:
+    """Carry `torch-iac compare` out; `words` are options for all runs.
 
-    Words after -- are options of torch-iac train for all runs. The same command, or just the
-    folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
+    Raises:
+        StoppedError: It was asked to stop, and the runs have saved themselves.
+        ValueError: Something of it is refused; the message says the rule and the value.
     """
+    comparison = _comparison(asked, words)
+    if not asked.report:
+        _carry_out(asked, comparison)
+    _answer(asked, comparison)
 
-    folder: Annotated[Path, tyro.conf.Positional]
-    """The folder of all the runs and of the report."""
-    variant: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
-    first is what others are compared with."""
-    variants: Path | None = None
-    """A JSON file with variants: under each name its words, as a list or as one text."""
-    seeds: int | None = None
-    """How many robots of each variant; by default as many as before, at first 10."""
-    seed: int | None = None
-    """Seed of the first robot; each further one has the next. By default as before, at first 0."""
-    block: int | None = None
-    """How many robots of a variant are one run, as a population (for the kinematic world); by
-    default as before, at first 1."""
-    processes: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
-    """How many runs go on at once on this machine; by default one for each core that this
-    process may use."""
-    ray: str | None = None
-    """The address of a Ray cluster that shall carry the runs out instead, or auto."""
-    gpus: float = 0.0
-    """Which part of a GPU each run gets on Ray."""
-    only: str | None = None
-    """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
 
-    report: bool = False
-    """Only report on what has ended."""
+def _comparison(asked: Compare, words: Sequence[str]) -> Comparison:
+    """Return what the folder holds, if anything, and what is asked for besides."""
+    check_count("processes", asked.processes)
+    given = read_variants(asked.variants) if asked.variants else ()
+    given += tuple(Variant.from_text(text) for text in asked.variant)
+    numbers = {"n_seeds": asked.seeds, "seed": asked.seed, "block": asked.block}
+    folder = asked.folder.absolute()  # where the workers are, another may be the present one
+    if (folder / PLAN).exists():
+        return load_comparison(folder).grown(given, words, **numbers)
+    known = {name: number for name, number in numbers.items() if number is not None}
+    return Comparison(folder, given, tuple(words), **known)
 
-    def run(self, words: Sequence[str]) -> None:
-        """Carry the command out; `words` are options for all runs."""
-        comparison = self._comparison(words)
-        if not self.report:
-            self._carry_out(comparison)
-        self._answer(comparison)
 
-    def _carry_out(self, comparison: Comparison) -> None:
-        """Carry out the runs that are not done."""
-        jobs = comparison.jobs()
-        sizes = self._sizes(jobs)
-        open_jobs = [job for job in self._part(jobs) if job.state != "done"]
-        if self.ray is None:
-            crew = on_processes(open_jobs, go_on, self.processes)
-        else:
-            crew = on_ray(open_jobs, go_on, self.ray, self.gpus)
-        comparison.save()
-        with _stopping() as stop:
-            is_over = carry_out({job: sizes[job] for job in open_jobs}, crew, stop)
-        if not is_over:
-            raise StoppedError(
-                stop.signals[0], f"stopped; go on with: torch-iac compare {self.folder}"
-            )
+def _carry_out(asked: Compare, comparison: Comparison) -> None:
+    """Carry out the runs that are not done."""
+    jobs = comparison.jobs()
+    sizes = _sizes(jobs, elsewhere=asked.ray is not None)
+    open_jobs = [job for job in _part(jobs, asked) if job.state != "done"]
+    if asked.ray is None:
+        crew = on_processes(open_jobs, go_on, asked.processes)
+    else:
+        crew = on_ray(open_jobs, go_on, asked.ray, asked.gpus)
+    comparison.save()
+    with _stopping() as stop:
+        is_over = carry_out({job: sizes[job] for job in open_jobs}, crew, stop)
+    if not is_over:
+        raise StoppedError(
+            stop.signals[0], f"stopped; go on with: torch-iac compare {asked.folder}"
+        )
 
-    def _answer(self, comparison: Comparison) -> None:
-        """Report, and say where, and which runs failed."""
-        mine = self._part(comparison.jobs())
-        lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {tally_states(mine)}."]
-        if self.only is None and any(job.state == "done" for job in mine):
-            lines.append(f"Read {save_report(comparison)}, or: tensorboard --logdir {self.folder}")
-        print("\n".join(lines))  # noqa: T201 - the command's answer
-        failed = [job for job in mine if job.state == "failed"]
-        if failed:
-            _exit(1, "\n".join(f"{job.name} failed: {job.reason}" for job in failed))
 
-    def _part(self, jobs: Sequence[Job]) -> Sequence[Job]:
-        """Return the runs that this command is about."""
-        return part_of(jobs, self.only) if self.only else jobs
+def _part(jobs: Sequence[Job], asked: Compare) -> Sequence[Job]:
+    """Return the runs that a command is about."""
+    return part_of(jobs, asked.only) if asked.only else jobs
 
-    def _comparison(self, words: Sequence[str]) -> Comparison:
-        """Return what the folder holds, if anything, and what is asked for besides."""
-        check_count("processes", self.processes)
-        given = read_variants(self.variants) if self.variants else ()
-        given += tuple(Variant.from_text(text) for text in self.variant)
-        numbers = {"n_seeds": self.seeds, "seed": self.seed, "block": self.block}
-        folder = self.folder.absolute()  # where the workers are, another may be the present one
-        if (folder / PLAN).exists():
-            return load_comparison(folder).grown(given, words, **numbers)
-        asked = {name: number for name, number in numbers.items() if number is not None}
-        return Comparison(folder, given, tuple(words), **asked)
 
-    def _sizes(self, jobs: Sequence[Job]) -> dict[Job, int]:
-        """Return how many decisions the robots of each run take together, if all can be run.
+def _sizes(jobs: Sequence[Job], elsewhere: bool) -> dict[Job, int]:
+    """Return how many decisions the robots of each run take together, if all can be run.
 
-        Raises:
-            ValueError: One cannot; the message names its variant.
-        """
-        steps = {}
-        for job in {job.variant: job for job in jobs}.values():
-            try:
-                settings = settings_of(job.words[2:])
-                settings.check(elsewhere=self.ray is not None)
-            except (ValueError, gym.error.Error) as error:
-                raise ValueError(f"variant {job.variant}: {error}") from None
-            steps[job.variant] = settings.steps
-        for job in jobs:
-            job.check()
-        return {job: steps[job.variant] * len(job.seeds) for job in jobs}
+    Raises:
+        ValueError: One cannot; the message names its variant.
+    """
+    steps = {}
+    for job in {job.variant: job for job in jobs}.values():
+        try:
+            settings = settings_of(job.words[2:])
+            settings.check(elsewhere=elsewhere)
+        except (ValueError, gym.error.Error) as error:
+            raise ValueError(f"variant {job.variant}: {error}") from None
+        steps[job.variant] = settings.steps
+    for job in jobs:
+        job.check()
+    return {job: steps[job.variant] * len(job.seeds) for job in jobs}
+
+
+def _answer(asked: Compare, comparison: Comparison) -> None:
+    """Report, and say where, and which runs failed."""
+    from torch_iac.report import save_report  # with scipy and matplotlib
+
+    mine = _part(comparison.jobs(), asked)
+    lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {tally_states(mine)}."]
+    if asked.only is None and any(job.state == "done" for job in mine):
+        lines.append(f"Read {save_report(comparison)}, or: tensorboard --logdir {asked.folder}")
+    print("\n".join(lines))  # noqa: T201 - the command's answer
+    failed = [job for job in mine if job.state == "failed"]
+    if failed:
+        leave(1, "\n".join(f"{job.name} failed: {job.reason}" for job in failed))
 
 
 def go_on(words: Sequence[str], folder: Path) -> None:
@@ -292,77 +248,45 @@ def go_on(words: Sequence[str], folder: Path) -> None:
         raise KeyboardInterrupt(str(stopped)) from None
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Draw a run into its folder: the paper's figures 2 and 3, and errors of shadows and of MP."""
+def draw(asked: Figures) -> None:
+    """Carry `torch-iac figures` out."""
+    from torch_iac.figures import save_figures  # with matplotlib
 
-    run_folder: Annotated[Path, tyro.conf.Positional]
-    """The run folder."""
-    pdf: bool = False
-    """Also write each figure as a vector graphic."""
-
-    def run(self) -> None:
-        """Carry the command out."""
-        for path in save_figures(self.run_folder, pdf=self.pdf):
-            print(path)  # noqa: T201 - the command's answer
+    for path in save_figures(asked.run_folder, pdf=asked.pdf):
+        print(path)  # noqa: T201 - the command's answer
 
 
-@dataclass(frozen=True)
-class Replay:
-    """Film a robot of a run at stages of its development, with what it predicts and learns.
-
-    Its world is made again, and its recorded actions happen again.
+def replay(asked: Replay) -> None:
+    """Carry `torch-iac replay` out.
 
     Raises:
-        ValueError: `decisions` is below 1 or too large.
+        FileNotFoundError: The folder holds no run.
+        ValueError: The robot, a decision or the film's name is refused, the world draws no
+            pictures, or it does not come out as recorded.
     """
+    from torch_iac.video import Film, writer_for  # with matplotlib
 
-    run_folder: Annotated[Path, tyro.conf.Positional]
-    """The run folder."""
-    at: tuple[int, ...] = ()
-    """Decisions from which on to film; by default the beginning, the first focus on f3 and on f2,
-    and the end."""
-    decisions: int = N_DECISIONS
-    """How many decisions from each of them on."""
-    agent: int = 0
-    """Which robot of a population."""
-    out: Path | None = None
-    """The film: .mp4, or .gif for a small one; by default figures/replay.mp4 in the run folder."""
-
-    def __post_init__(self) -> None:
-        check_count("decisions", self.decisions)
-
-    def run(self) -> None:
-        """Carry the command out.
-
-        Raises:
-            FileNotFoundError: The folder holds no run.
-            ValueError: The robot, a decision or the film's name is refused, the world draws no
-                pictures, or it does not come out as recorded.
-        """
-        run = load_run(self.run_folder)
-        out = self.out or run.folder / "figures" / "replay.mp4"
-        writer_for(out)  # refuses a wrong name now
-        run.check_recorded(self.agent)
-        stages = self._stages(run)
-        world, camera = _remake(run)
-        try:
-            scenes = tqdm(
-                relive(run, stages, world, camera, self.agent),
-                unit="decision",
-                total=sum(stage.n_decisions for stage in stages),
-                disable=None,
-            )
-            Film(run, self.agent, camera.metadata).save(scenes, out)
-        finally:
-            world.close()
-            camera.close()
-        print(out)  # noqa: T201 - the command's answer
-
-    def _stages(self, run: Run) -> list[Stage]:
-        if self.at:
-            return stages_at(run, self.at, self.decisions)
-        return find_stages(run, self.agent, self.decisions)
+    run = load_run(asked.run_folder)
+    out = asked.out or run.folder / "figures" / "replay.mp4"
+    writer_for(out)  # refuses a wrong name now
+    run.check_recorded(asked.agent)
+    if asked.at:
+        stages = stages_at(run, asked.at, asked.decisions)
+    else:
+        stages = find_stages(run, asked.agent, asked.decisions)
+    world, camera = _remake(run)
+    try:
+        scenes = tqdm(
+            relive(run, stages, world, camera, asked.agent),
+            unit="decision",
+            total=sum(stage.n_decisions for stage in stages),
+            disable=None,
+        )
+        Film(run, asked.agent, camera.metadata).save(scenes, out)
+    finally:
+        world.close()
+        camera.close()
+    print(out)  # noqa: T201 - the command's answer
 
 
 def _remake(run: Run) -> tuple[World, World]:
@@ -371,6 +295,8 @@ def _remake(run: Run) -> tuple[World, World]:
     Raises:
         ValueError: It draws no pictures.
     """
+    from torch_iac.sheets import ROOM
+
     settings = settings_of(_words_of(run)[2:])
     world = settings.make_world(1)
     modes = [mode for mode in PICTURE_MODES if mode in world.metadata.get("render_modes", ())]
@@ -383,36 +309,31 @@ def _remake(run: Run) -> tuple[World, World]:
     return world, replace(settings, world_options=options).make_world(1)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command.
-
-    An error that the user can mend is one sentence, with exit code 2; Ctrl-C exits with 130, a
-    request to terminate with 143.
+def run(asked: Train | Options, words: Sequence[str]) -> None:
+    """Carry a command out; what ends it early ends the program.
 
     Args:
-        arguments: The words after `torch-iac`; those of the command line if none are given.
+        asked: What it was told.
+        words: What the user typed after `torch-iac`.
     """
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        command = _parsed(arguments)
-        if isinstance(command, Train):
-            begin(command, ["torch-iac", *arguments])
-        elif isinstance(command, Compare):
-            command.run(_split(arguments)[1])
+        if isinstance(asked, Train):
+            begin(asked, ["torch-iac", *words])
+        elif isinstance(asked, Compare):
+            compare(asked, split_at_dashes(words)[1])
+        elif isinstance(asked, Resume):
+            resume(asked)
+        elif isinstance(asked, Figures):
+            draw(asked)
         else:
-            command.run()
+            replay(asked)
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
-        _exit(2, _sentence(error))
+        leave(2, _sentence(error))
     except StoppedError as stopped:
-        _exit(128 + stopped.signal, str(stopped))
+        leave(128 + stopped.signal, str(stopped))
     except KeyboardInterrupt as interrupt:
-        _exit(130, str(interrupt) or "interrupted")
-
-
-def _exit(code: int, sentence: str) -> NoReturn:
-    print(f"torch-iac: {sentence}", file=sys.stderr)  # noqa: T201 - the command's answer
-    sys.exit(code)
+        leave(130, str(interrupt) or "interrupted")
 
 
 def _sentence(error: Exception) -> str:
@@ -421,39 +342,6 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(text.split())
-
-
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return what stands before -- and what stands after it."""
-    words = list(arguments)
-    place = words.index("--") if "--" in words else len(words)
-    return words[:place], words[place + 1 :]
-
-
-@plain_refusals()
-def _parsed(arguments: Sequence[str]) -> Train | Resume | Compare | Figures | Replay:
-    settings = (tyro.conf.AvoidSubcommands,)
-    if arguments[:1] == ["train"]:
-        return parse_train(arguments[1:])
-    if arguments[:1] == ["resume"]:
-        return tyro.cli(Resume, prog="torch-iac resume", args=arguments[1:], config=settings)
-    if arguments[:1] == ["compare"]:
-        own = _split(arguments)[0][1:]
-        return tyro.cli(Compare, prog="torch-iac compare", args=own, config=settings)
-    if arguments[:1] == ["figures"]:
-        return tyro.cli(Figures, prog="torch-iac figures", args=arguments[1:], config=settings)
-    if arguments[:1] == ["replay"]:
-        return tyro.cli(Replay, prog="torch-iac replay", args=arguments[1:], config=settings)
-    return tyro.cli(  # says which commands there are
-        Annotated[Train, tyro.conf.subcommand("train")]
-        | Annotated[Resume, tyro.conf.subcommand("resume")]
-        | Annotated[Compare, tyro.conf.subcommand("compare")]
-        | Annotated[Figures, tyro.conf.subcommand("figures")]
-        | Annotated[Replay, tyro.conf.subcommand("replay")],
-        prog="torch-iac",
-        description="Intelligent Adaptive Curiosity: robots that seek what they learn fastest.",
-        args=arguments,
-    )
 
 
 class StoppedError(Exception):

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -362,13 +361,15 @@ def _paths(parents: list[int]) -> list[str]:
 
 def _image(progress: NDArray[np.float64]) -> Summary.Image:
     """Return a picture of rows of progress: white is none, red positive, blue negative."""
+    from matplotlib import colormaps  # it takes long to import, and little is needed of it
+
     scale = float(np.abs(progress).max()) or 1.0
     rows, columns = (
         np.arange(size) * n // size for n, size in zip(progress.shape, MAP_PIXELS, strict=True)
     )
     shades = np.round(127.5 + 127.5 * progress / scale).astype(np.uint8)
     picture = Image.fromarray(shades[np.ix_(rows, columns)])
-    picture.putpalette(mpl.colormaps["RdBu_r"](np.arange(256), bytes=True)[:, :3].tobytes())
+    picture.putpalette(colormaps["RdBu_r"](np.arange(256), bytes=True)[:, :3].tobytes())
     return _png(picture)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap, rankdata
 
 N_RESAMPLES = 5000
 """How many times the bootstrap draws robots anew."""
@@ -84,6 +83,8 @@ def _estimate(statistic: Callable[..., Any], *samples: Values) -> Estimate:
 
 
 def _interval(statistic: Callable[..., Any], *samples: Values) -> tuple[Values, Values]:
+    from scipy.stats import bootstrap  # it takes a second to import
+
     found = bootstrap(
         samples,
         statistic,
@@ -109,6 +110,8 @@ def _difference(one: Values, other: Values, axis: int = -1) -> Any:
 
 def _share_larger(one: Values, other: Values, axis: int = -1) -> Any:
     """Return in which share of all pairs the one is larger, by Mann and Whitney's U."""
+    from scipy.stats import rankdata
+
     n, m = one.shape[axis], other.shape[axis]
     ranks = rankdata(np.concatenate([one, other], axis=axis), axis=axis)
     of_one = np.take(ranks, np.arange(n), axis=axis).sum(axis=axis)

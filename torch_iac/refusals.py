@@ -5,6 +5,7 @@ import io
 import re
 import sys
 from collections.abc import Iterator
+from typing import NoReturn
 
 RULE = re.compile(r"^ *(?:─{5,}|-{5,}) *$", re.MULTILINE)
 """Where stdout is not UTF-8, a box is drawn in ASCII: rules of hyphens, and no sides."""
@@ -53,3 +54,9 @@ def sentence_in(box: str) -> str:
             text += f"; perhaps you meant {', '.join(OPTION.findall(other)[:3])}"
     helps = HELP.findall(" ".join(others))
     return f"{text} (see {helps[-1]})" if helps else text
+
+
+def leave(code: int, sentence: str) -> NoReturn:
+    """End the program with a sentence on stderr and an exit code."""
+    print(f"torch-iac: {sentence}", file=sys.stderr)  # noqa: T201 - the command's answer
+    sys.exit(code)

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from torch_iac.episodes import outcome_of
 from torch_iac.measures import FOCUS_SHARES
+from torch_iac.options import N_DECISIONS
 from torch_iac.runs import CONFIG, WINDOW, Run, focus_steps
 from torch_iac.space import Dimension
 from torch_iac.training import World, set_world_state, world_state
-
-N_DECISIONS = 20
-"""How many decisions a stage has, if nobody says otherwise."""
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import Any
 
 import gymnasium as gym
 from torch import Tensor
-from tqdm import tqdm
 
 from torch_iac.agent import IAC
+from torch_iac.bars import tqdm
 from torch_iac.checkpoint import Checkpoint, Checkpoints
 from torch_iac.counts import check_count
 from torch_iac.episodes import outcome_of

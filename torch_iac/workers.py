@@ -18,8 +18,8 @@ from shlex import join
 from typing import IO, Any
 
 import torch
-from tqdm import tqdm
 
+from torch_iac.bars import tqdm
 from torch_iac.comparison import Job, alone, ending
 
 TICK = 1.0

@@ -10,8 +10,7 @@ through each other, because the toy must be able to be in the robot.
 import math
 from typing import Any
 
-import pybullet as p
-
+from torch_iac_envs.bullet import pybullet as p
 from torch_iac_envs.room import ACCELERATION, Room
 
 GRAVITY = 9.81

@@ -5,10 +5,10 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet as p
 from numpy.typing import NDArray
 
 from torch_iac_envs.bodies import SLICE, build, motor_torque
+from torch_iac_envs.bullet import pybullet as p
 from torch_iac_envs.room import TOY_ROLL, Picture, Room
 
 STATE_DIM = 30

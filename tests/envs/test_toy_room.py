@@ -302,3 +302,32 @@ def _run(code: str, *arguments: str) -> str:
         text=True,
     )
     return done.stdout.split("\n")[-2]
+
+
+# The physics engine as a package.
+
+
+def said_by_python(code: str) -> str:
+    """Return what a fresh Python writes to stdout and stderr, C's own lines too."""
+    words = [sys.executable, "-c", f"import gymnasium, sys, torch_iac_envs\n{code}"]
+    answer = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    return answer.stdout + answer.stderr
+
+
+def test_nothing_is_said_when_the_engine_is_imported() -> None:
+    assert said_by_python(f"gymnasium.make({ID!r}); print('made')") == "made\n"
+
+
+def test_without_the_engine_a_sentence_says_what_to_install() -> None:
+    make = f"sys.modules['pybullet'] = None\ngymnasium.make({ID!r})"
+    last = said_by_python(make).splitlines()[-1]
+    assert last == (
+        "gymnasium.error.DependencyNotInstalled: the toy room needs pybullet: "
+        "pip install pybullet, or pybullet-arm64 for Python 3.12 and later"
+    )
+
+
+def test_without_the_engine_there_is_the_kinematic_room() -> None:
+    room = "torch_iac_envs/ToyRoomKinematic-v0"
+    make = f"sys.modules['pybullet'] = None\ngymnasium.make_vec({room!r}, 2); print('made')"
+    assert said_by_python(make) == "made\n"
