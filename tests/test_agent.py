@@ -15,7 +15,6 @@ from tests.agreement import check_step, oracle_of, scaled
 from torch_iac import (
     IAC,
     MLP,
-    PRESETS,
     AbsoluteProgress,
     Choice,
     Curriculum,
@@ -651,12 +650,6 @@ def test_agents_need_seeds_and_a_device_that_is_there(space: SensorimotorSpace) 
     if not torch.cuda.is_available():
         with pytest.raises(ValueError, match="device must be one that this machine has"):
             IAC(space, SMALL, device="cuda")
-
-
-def test_the_presets_hold_the_papers_numbers() -> None:
-    assert PRESETS["iac2004"] == IACConfig()
-    of_2007 = PRESETS["iac2007"]
-    assert (of_2007.window, of_2007.delay, of_2007.error) == (26, 15, "squared")
 
 
 def test_on_a_gpu_bad_sensors_are_refused_when_the_decision_ends(space: SensorimotorSpace) -> None:

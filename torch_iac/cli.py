@@ -30,6 +30,7 @@ from torch_iac.comparison import (
 from torch_iac.counts import check_count
 from torch_iac.memory import check_memory
 from torch_iac.options import Compare, Figures, Options, Replay, Resume, split_at_dashes
+from torch_iac.processor import described, processor, rounds_alike
 from torch_iac.recording import Recorder
 from torch_iac.refusals import leave
 from torch_iac.runs import CHECKPOINTS, SUMMARY, WINDOW, Run, load_run
@@ -85,6 +86,9 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
     if bounds is not None and bounds.found:
         share = f"{len(bounds.found)} of {len(space.sensors)} sensors"
         log.info("Bounds for %s were found in %s random decisions", share, settings.bounds_from)
+    description = settings.description(words, bounds)
+    if resume:  # the processor that it began on stays in config.json
+        description["processor"] = load_run(out).config.get("processor")
     env = settings.make_world(n_agents, bounds)
     try:
         agent = IAC(space, config, range(settings.seed, settings.seed + n_agents), device)
@@ -92,7 +96,7 @@ def live(settings: Train, out: Path, words: Sequence[str], resume: bool = False)
             out,
             agent,
             env.metadata.get("zone_names"),
-            settings.description(words, bounds),
+            description,
             log_every=settings.log_every,
             n_recorded=n_recorded,
             resume=resume,
@@ -137,6 +141,13 @@ def resume(asked: Resume) -> None:
         raise ValueError(
             f"steps must be above the {run.n_decisions} that {asked.run_folder} has ended with, "
             f"got {steps}"
+        )
+    began_on, here = run.config.get("processor"), processor()
+    if not rounds_alike(began_on, here, settings.is_exact()):
+        log.info(
+            "The run began on another kind of processor (%s) than this one (%s): "
+            "the last digits may differ from here on",
+            *(described(of) for of in (began_on, here)),
         )
     live(replace(settings, steps=steps), asked.run_folder, words, resume=True)
 

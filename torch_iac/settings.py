@@ -33,6 +33,7 @@ from torch_iac.drives import (
 )
 from torch_iac.experts import Experts, KNNExperts, MLPExperts
 from torch_iac.meta import ImprovementPredictor, MetaPredictor
+from torch_iac.processor import processor
 from torch_iac.refusals import plain_refusals
 from torch_iac.space import SensorimotorSpace
 from torch_iac.training import CHECKPOINT_EVERY, World
@@ -246,6 +247,19 @@ class Train:
         """
         return parse_options(self.world_options)
 
+    def is_exact(self) -> bool:
+        """Return whether the run is the same to the bit on every processor of its architecture.
+
+        So it is on the CPU in the toy rooms, with nearest neighbours and with multi-layer
+        perceptrons; a world or a network of a user's may round otherwise.
+        """
+        of_ours = {EXPERTS[self.experts], *(EXPERTS[name] for name in self.shadows)}
+        return (
+            self.torch_device().type == "cpu"
+            and self.world in WORLDS
+            and of_ours <= {KNNExperts, MLPExperts}
+        )
+
     def n_recorded(self) -> int:
         """Return of how many agents every decision is recorded; say so if not of all."""
         n_rows = self.agents * self.steps
@@ -268,6 +282,7 @@ class Train:
         return {
             "command": list(words),
             "versions": {"python": platform.python_version(), **_versions()},
+            "processor": processor(),
             "world": world,
             "steps": self.steps,
             "device": self.device,
