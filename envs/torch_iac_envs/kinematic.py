@@ -1,13 +1,17 @@
 """`ToyRoomKinematic`, the toy room for thousands of robots at once, on any torch device.
 
-Shapes: `A` worlds, `W` the two wheels or the two coordinates x and y. Numbers of one kind lie side
-by side, worlds last, so that a world's results do not depend, to the last bit, on how many others
-there are.
+Shapes: `A` worlds, `W` the two wheels or the two coordinates x and y, `N` slices of a decision.
+Numbers of one kind lie side by side, worlds last.
+
+A world's results are the same to the last bit however many others there are, however many threads
+work, and on every processor: the room uses only operations of which IEEE 754 says what they give,
+and never adds up more than two numbers but in turn. `elementary` has what goes beyond them.
 """
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_iac_envs import room as layout
+from torch_iac_envs.elementary import circle, root
 from torch_iac_envs.randomness import normal, pack_seeds, uniform
 from torch_iac_envs.room import Picture, Room, check_argument
 
@@ -25,14 +30,14 @@ if TYPE_CHECKING:
 
 SLICE = 0.025
 """How much time the robot's motion advances at once (s); a decision is a whole number of them."""
-CLEARANCE = 0.001
-"""In m; rounding does not decide whether a wall is looked at."""
 WALL_FRICTION = 0.1
 """Of the chassis on a wall."""
 TOY_BOUNCE = 0.65
 """What a wall leaves of the toy's speed towards it. Less than the engine is told (0.9), because it
 loses speed when it keeps a fast toy from tunnelling; of 0.4 to 1, this comes nearest to where the
 engine's toys land."""
+N_BOUNCES = 32
+"""After that many a toy is at rest: it has a millionth of its speed."""
 
 State = dict[str, Tensor]
 """What `get_state` returns; it says the shapes."""
@@ -117,7 +122,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         self._actuator_noise = actuator_noise
         self._zone_ends = layout.zone_ends(f1_end, f2_end)
         self._check_actions = check_actions
-        self._beams = torch.arange(beams, device=self.device) * (2 * math.pi / max(beams, 1))
+        beam_turns = torch.arange(beams, device=self.device) / max(beams, 1)
+        self._beams = circle(math.tau * beam_turns.double()).float()[..., None]  # (W, beams, 1)
+        self._beams_aside = _aside(self._beams)
         self._declare_spaces(beams)
         self._seeds: Tensor | None = None
         self._moment = 0
@@ -165,12 +172,12 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         del options
         if seed is not None or self._seeds is None:
             self._seeds, self._moment = self._checked_seeds(seed), 0
-        places, uniforms = self._draw(5, self._n_sensor_noises)
+        places, uniforms = self._draw(5, 2 * self._n_noise_pairs)
         places = 2 * places - 1
         self._position = places[:2] * self.room.robot_reach  # (W, A)
         self._toy = places[2:4] * self.room.toy_reach  # (W, A)
         self._heading = places[4] * math.pi  # (A,)
-        return self._sense(uniforms), {}
+        return self._sense(normal(self._paired(uniforms))), {}
 
     def step(
         self, actions: Tensor | NDArray[Any]
@@ -192,13 +199,14 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         *wheels, sound = self._checked_actions(actions)
         f1_end, f2_end = self._zone_ends
         zone = (sound > f1_end).long() + (sound > f2_end)
-        kick, uniforms, sensor_uniforms = self._draw(2, 2, self._n_sensor_noises)
-        speeds = torch.stack(wheels) + self._actuator_noise * normal(uniforms)
+        kick, wheel_uniforms, uniforms = self._draw(2, 2, 2 * self._n_noise_pairs)
+        noise = normal(torch.cat([self._paired(wheel_uniforms), self._paired(uniforms)], 1))
+        speeds = torch.stack(wheels) + self._actuator_noise * noise[:, 0]
         self._position, self._heading = drive(self.room, self._position, self._heading, speeds)
         self._toy = self._move_toy(zone, *kick)
         nothing = torch.zeros(self.num_envs, device=self.device)
         over = torch.zeros(2, self.num_envs, dtype=torch.bool, device=self.device)
-        return self._sense(sensor_uniforms), nothing, over[0], over[1], {"zone": zone}
+        return self._sense(noise[:, 1:]), nothing, over[0], over[1], {"zone": zone}
 
     def render(self) -> tuple[Picture, ...] | None:
         """Return a picture of each world, shape `(height, width, 3)`, if the mode is so.
@@ -297,9 +305,8 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         return actions.T.contiguous()
 
     @property
-    def _n_sensor_noises(self) -> int:
-        n_noises = len(self._beams) + 2
-        return n_noises + n_noises % 2  # normal numbers come in pairs
+    def _n_noise_pairs(self) -> int:
+        return (self._beams.shape[1] + 3) // 2  # normal numbers come in pairs
 
     def _draw(self, *counts: int) -> tuple[Tensor, ...]:
         """Return new uniform numbers, one tensor of shape `(count, A)` for each count."""
@@ -307,32 +314,37 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         self._moment += 1
         return torch.split(numbers, list(counts))
 
+    def _paired(self, numbers: Tensor) -> Tensor:
+        """Return the first half of numbers beside the second, shape `(2, pairs, A)`."""
+        return numbers.view(2, -1, self.num_envs)
+
     def _move_toy(self, zone: Tensor, speed: Tensor, direction: Tensor) -> Tensor:
         """Return where the toys end, shape `(W, A)`, once the robots are where they end."""
         slowest, fastest = self.room.kick_speed
         angle = (2 * direction - 1) * math.pi
-        kick = (slowest + (fastest - slowest) * speed) * torch.stack([angle.cos(), angle.sin()])
+        kick = (slowest + (fastest - slowest) * speed) * circle(angle)
         reach = self.room.toy_reach
         kicked = roll(self._toy, kick, self.room.drive_seconds, reach)
         kicked = roll(kicked, kick * layout.TOY_ROLL, self.room.brake_seconds, reach)
         toy = torch.where(zone == layout.ZONE_RANDOM, kicked, self._toy)
         return torch.where(zone == layout.ZONE_JUMP, self._position, toy)
 
-    def _sense(self, uniforms: Tensor) -> Tensor:
-        """Return what the robots sense, shape `(A, sensors)`."""
-        noise = self._sensor_noise * normal(uniforms)
-        n_beams = len(self._beams)
-        walls = wall_distances(self.room, self._position, self._heading + self._beams[:, None])
+    def _sense(self, normals: Tensor) -> Tensor:
+        """Return what the robots sense, shape `(A, sensors)`; normal numbers `(2, pairs, A)`."""
+        noise = self._sensor_noise * normals.flatten(0, 1)
+        n_beams = self._beams.shape[1]
+        turn = layout.DIRECTION_NOISE * noise[n_beams + 1] - self._heading
+        (cos, sin), (turn_cos, turn_sin) = circle(torch.stack([self._heading, turn])).unbind(1)
+        beams = cos * self._beams + sin * self._beams_aside
+        walls = wall_distances(self.room, self._position, beams)
         towards = self._toy - self._position
-        gap = towards.square().sum(0).sqrt()
+        gap = root(_added(towards * towards))
         distance = (gap - self.room.toy_radius).clamp(min=0)
         readings = [walls + noise[:n_beams], (distance + noise[n_beams])[None]]
         if self._toy_direction:
-            # Turned into the robot's frame; no arctangent, whose last digits depend on `A`.
-            turn = layout.DIRECTION_NOISE * noise[n_beams + 1] - self._heading
-            x, y = towards / gap.clamp(min=self.room.toy_radius) * (distance > 0)
-            cos, sin = turn.cos(), turn.sin()
-            readings.append(torch.stack([x * cos - y * sin, x * sin + y * cos]))
+            # Turned into the robot's frame.
+            seen = towards / gap.clamp(min=self.room.toy_radius) * (distance > 0)
+            readings.append(turn_cos * seen + turn_sin * _aside(seen))
         low, high = self._sensor_bounds
         return torch.cat(readings).clamp(low, high).T.contiguous()
 
@@ -349,77 +361,158 @@ def drive(room: Room, position: Tensor, heading: Tensor, speeds: Tensor) -> tupl
         heading: Anticlockwise from the x axis, shape `(A,)` (rad).
         speeds: Left and right wheel's speed, as a share of full speed, shape `(W, A)`.
     """
+    if position.device.type != "cpu":  # a GPU is not asked; that would wait for all before
+        return _drive_among_walls(room, position, heading, speeds)
+    end, end_heading, touches = _drive_freely(room, position, heading, speeds)
+    near = touches.nonzero()[:, 0]
+    if len(near) > 0:
+        end[:, near], end_heading[near] = _drive_among_walls(
+            room, position[:, near], heading[near], speeds[:, near]
+        )
+    return end, end_heading
+
+
+def _drive_freely(
+    room: Room, position: Tensor, heading: Tensor, speeds: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what `drive` does, were there no walls, and who then touches some, shape `(A,)`.
+
+    All slices are computed at once.
+    """
+    n_slices, n_driven = _n_slices(room)
+    number = torch.arange(1, n_slices + 1, device=speeds.device)[:, None]
+    gain = layout.ACCELERATION * SLICE**2
+    up = number.clamp(max=n_driven) * gain
+    down = (number - n_driven).clamp(min=0) * gain
+    driven = (speeds * (room.full_speed * SLICE))[:, None]  # (W, 1, A)
+    driven = driven.clamp(-up, up)
+    half_turn, _, roll = _arc(room, driven - driven.clamp(-down, down))  # (N, A)
+    headings = torch.cat([heading[None], heading + (2 * half_turn).cumsum(0)])
+    facing = circle(headings)  # (W, N + 1, A)
+    steps = roll * (facing[:, :-1] + facing[:, 1:])
+    places = position[:, None] + steps.cumsum(1)
+    touches = (places.abs() > _limit(room, facing[:, 1:])).flatten(0, 1).any(0)
+    return places[:, -1].clone(), headings[-1].clone(), touches
+
+
+class _Pose(NamedTuple):
+    """Where robots are, shape `(W, A)` (m), and face: cosine and sine, shape `(W, A)`.
+
+    And half the angle by which they turned in this decision (rad), shape `(A,)`.
+    """
+
+    position: Tensor
+    facing: Tensor
+    half_turned: Tensor
+
+
+def _drive_among_walls(
+    room: Room, position: Tensor, heading: Tensor, speeds: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return what `drive` does, slice by slice."""
+    n_slices, n_driven = _n_slices(room)
     driven = speeds * (room.full_speed * SLICE)
     gain = layout.ACCELERATION * SLICE**2
-    travel = torch.zeros_like(driven)  # of each wheel in one slice
-    n_driven = round(room.drive_seconds / SLICE)
-    for number in range(round(room.decision_seconds / SLICE)):
-        wanted = driven if number < n_driven else torch.zeros_like(driven)
-        travel = travel + (wanted - travel).clamp(-gain, gain)
-        there, facing = _rolled(room, position, heading, travel)
-        if not _out_of_reach(room, there):
-            travel = travel - _pushed_back(room, there, facing, travel)
-            there, facing = _rolled(room, position, heading, travel)
-            limit = room.side / 2 - _extent(room, facing)
-            there = there.clamp(-limit, limit)
-        position, heading = there, facing
-    return position, heading
+    pose = _Pose(position, circle(heading), torch.zeros_like(heading))
+    wanted, travel = driven, torch.zeros_like(driven)  # of each wheel in one slice
+    for number in range(n_slices):
+        if number == n_driven:
+            wanted = torch.zeros_like(driven)
+        travel = wanted.clamp(travel - gain, travel + gain)
+        aside = _aside(pose.facing)
+        there = _rolled(room, pose, aside, travel)
+        depth = _depth(room, there)
+        if depth.device.type != "cpu" or depth.any():
+            travel = travel - _pushed_back(room, there, depth, travel)
+            there = _rolled(room, pose, aside, travel)
+            limit = _limit(room, there.facing)
+            there = there._replace(position=there.position.clamp(-limit, limit))
+        pose = there
+    return pose.position, heading + 2 * pose.half_turned
 
 
-def _out_of_reach(room: Room, position: Tensor) -> bool:
-    """Return whether walls are out of every robot's reach, so that they need not be looked at.
+def _n_slices(room: Room) -> tuple[int, int]:
+    """Return into how many slices a decision is cut, and in how many the wheels are driven."""
+    return round(room.decision_seconds / SLICE), round(room.drive_seconds / SLICE)
 
-    A GPU is not asked, since that would wait for all that was computed before.
+
+def _arc(room: Room, travel: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what wheels that roll by `travel`, shape `(W, ...)`, do to a robot, each `(...)`.
+
+    Half the angle by which it turns (rad), its tangent, and a quarter of what the wheels roll
+    together (m), times the ratio of tangent to angle.
     """
-    if position.device.type != "cpu":
-        return False
-    return bool(position.abs().max() < room.robot_reach - CLEARANCE)
-
-
-def _rolled(room: Room, position: Tensor, heading: Tensor, travel: Tensor) -> tuple[Tensor, Tensor]:
-    """Return positions and headings after the wheels rolled by `travel`, shape `(W, A)`."""
-    left, right = travel
+    left, right = travel.unbind()
     half_turn = (right - left) / (2 * room.track)
-    middle = heading + half_turn
-    forward = torch.stack([middle.cos(), middle.sin()])
-    # The chord of the arc, to the second order: a slice turns by 0.19 rad at most.
-    chord = (left + right) * (0.5 - half_turn.square() / 12)
-    return position + chord * forward, heading + 2 * half_turn
+    square = half_turn * half_turn
+    ratio = 1 + square * (1 / 3 + square * (2 / 15))  # Taylor's series; at most 0.34 rad
+    return half_turn, half_turn * ratio, (left + right) * 0.25 * ratio
 
 
-def _extent(room: Room, heading: Tensor) -> Tensor:
-    return room.chassis / 2 * (heading.cos().abs() + heading.sin().abs())
+def _rolled(room: Room, pose: _Pose, aside: Tensor, travel: Tensor) -> _Pose:
+    """Return where robots are and face after the wheels rolled by `travel`, shape `(W, A)`.
+
+    The rotation is written with the tangent of half its angle, so that it changes no length, and
+    the chord of the arc with the sum of the facings before and after.
+    """
+    half_turn, tangent, roll = _arc(room, travel)
+    facings = (pose.facing + tangent * aside) / (0.5 + 0.5 * tangent * tangent)
+    return _Pose(
+        pose.position + roll * facings, facings - pose.facing, pose.half_turned + half_turn
+    )
 
 
-def _pushed_back(room: Room, position: Tensor, heading: Tensor, travel: Tensor) -> Tensor:
+def _aside(direction: Tensor) -> Tensor:
+    """Return directions turned by a quarter, anticlockwise, shape `(W, ...)`."""
+    x, y = direction.unbind()
+    return torch.stack([-y, x])
+
+
+def _added(pair: Tensor) -> Tensor:
+    """Return the sum of two numbers, shape `(2, ...)`."""
+    first, second = pair.unbind()
+    return first + second
+
+
+def _limit(room: Room, facing: Tensor) -> Tensor:
+    """Return how far from the room's middle a chassis fits (m), for facings `(W, ...)`."""
+    return room.side / 2 - room.chassis / 2 * _added(facing.abs())
+
+
+def _depth(room: Room, pose: _Pose) -> Tensor:
+    """Return how deep in the nearest walls across each axis a corner is, shape `(W, A)` (m)."""
+    return (pose.position.abs() - _limit(room, pose.facing)).clamp(min=0)
+
+
+def _pushed_back(room: Room, pose: _Pose, depth: Tensor, travel: Tensor) -> Tensor:
     """Return the travel that walls and their friction take from the wheels, shape `(W, A)`.
 
-    For each of the two nearest walls, the corner deepest in it counts.
+    For each of the two nearest walls, the corner deepest in it counts. What it does to the wheels
+    is written as what both get alike, and what the right one gets more and the left one less.
 
     Args:
         room: The room's measures.
-        position: Where the robots would be, walls apart, shape `(W, A)`.
-        heading: Where they would face, shape `(A,)`.
+        pose: Where the robots would be, walls apart.
+        depth: How deep in the walls they would be, shape `(W, A)` (m).
         travel: What the wheels would roll, shape `(W, A)`.
     """
-    half = room.chassis / 2
-    side = torch.where(position < 0, -1.0, 1.0)
-    cos, sin = heading.cos(), heading.sin()
-    # The walls' normals, outwards, in the robots' frames; one row for the walls across each axis.
-    ahead, aside = side * torch.stack([cos, sin]), side * torch.stack([-sin, cos])
-    corner_ahead = torch.where(ahead < 0, -half, half)
-    corner_aside = torch.where(aside < 0, -half, half)
-    reach = ahead * corner_ahead + aside * corner_aside
-    depth = (position.abs() + reach - room.side / 2).clamp(min=0)
-    # How far a wheel's travel moves the corner into the wall, and along it.
-    turn = (aside * corner_ahead - ahead * corner_aside) / room.track
-    into = torch.stack([ahead / 2 - turn, ahead / 2 + turn])  # (W, walls, A)
-    along = torch.stack([-aside / 2 - reach / room.track, -aside / 2 + reach / room.track])
-    push = depth / into.square().sum(0)
-    pushed = (push * into).sum(1)
-    slip = (along * (travel - pushed)[:, None]).sum(0) / along.square().sum(0)
-    rub = slip.clamp(-WALL_FRICTION * push, WALL_FRICTION * push)
-    return pushed + (rub * along).sum(1)
+    # Half the walls' normals, outwards, in the robots' frames; a row for the walls across an axis.
+    half = torch.copysign(torch.full_like(depth, 0.5), pose.position)
+    ahead, aside = half * pose.facing, half * _aside(pose.facing)
+    # How far a wheel's travel moves the corner into the wall, and along it: both walls turn alike.
+    cos, sin = pose.facing.unbind()
+    wide, long = pose.facing.abs().unbind()
+    lever = torch.full_like(cos, room.chassis / 2 / room.track)
+    turn = (wide - long) * torch.copysign(lever, cos * sin)
+    arm = (wide + long) * lever
+    push = 0.5 * depth / (ahead * ahead + turn * turn)
+    both, more = _added(push * ahead), _added(push) * turn
+    left, right = (0.5 * travel).unbind()
+    slip = arm * (right - left - more) - aside * (right + left - both)
+    limit = WALL_FRICTION * push
+    rub = (slip / (aside * aside + arm * arm)).clamp(-limit, limit)
+    both, more = both - _added(rub * aside), more + _added(rub) * arm
+    return torch.stack([both - more, both + more])
 
 
 def roll(place: Tensor, velocity: Tensor, seconds: float, reach: float) -> Tensor:
@@ -439,12 +532,28 @@ def roll(place: Tensor, velocity: Tensor, seconds: float, reach: float) -> Tenso
     first = reach - onwards * place  # to the first wall
     # The path after the first wall, were there no loss, in widths of the room.
     beyond = (travel - first).clamp(min=0) / (2 * reach)
-    ratio = 1 / TOY_BOUNCE
-    crossings = (torch.log1p(beyond * (1 - TOY_BOUNCE)) / math.log(ratio)).floor()
-    left = (-math.log(ratio) * crossings).exp()  # of the speed after the first bounce
-    since = (beyond - (1 / left - 1) / (1 - TOY_BOUNCE)) * left * TOY_BOUNCE  # the last bounce
-    end = torch.where(crossings % 2 == 0, 1 - 2 * since, 2 * since - 1) * reach * onwards
+    starts, speeds_left = _bounces(place.dtype, place.device)
+    bounce = torch.bucketize(beyond, starts, right=True) - 1  # the last one
+    left = speeds_left[bounce]  # of the speed after the first bounce
+    since = (beyond - starts[bounce]) * left * TOY_BOUNCE
+    end = torch.where(bounce % 2 == 0, 1 - 2 * since, 2 * since - 1) * reach * onwards
     return torch.where(travel < first, place + velocity * seconds, end).clamp(-reach, reach)
+
+
+@cache
+def _bounces(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return when bounces follow the first one, and what they leave of its speed, `(N_BOUNCES,)`.
+
+    When: as paths without loss, in widths of the room.
+    """
+    starts, speeds, start, speed = [], [], 0.0, 1.0
+    for _ in range(N_BOUNCES):
+        starts.append(start)
+        speeds.append(speed)
+        speed = speed * TOY_BOUNCE
+        start = start + 1 / speed
+    both = torch.tensor([starts, speeds], dtype=dtype, device=device)
+    return both[0], both[1]
 
 
 def wall_distances(room: Room, position: Tensor, directions: Tensor) -> Tensor:
@@ -453,12 +562,10 @@ def wall_distances(room: Room, position: Tensor, directions: Tensor) -> Tensor:
     Args:
         room: The room's measures.
         position: From where, shape `(W, A)` (m); the room's centre is the origin.
-        directions: Anticlockwise from the x axis, shape `(beams, A)` (rad).
+        directions: Cosines and sines of the directions, shape `(W, beams, A)`.
     """
-    across, along = (
-        (room.side / 2 - cosine.sign() * coordinate) / cosine.abs()
-        for cosine, coordinate in zip((directions.cos(), directions.sin()), position, strict=True)
-    )
+    to_wall = room.side / 2 - directions.sign() * position[:, None]
+    across, along = (to_wall / directions.abs()).unbind()
     return torch.minimum(across, along)
 
 

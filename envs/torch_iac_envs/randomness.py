@@ -1,7 +1,7 @@
 """Random numbers of many worlds at once: a pure function of a world's seed and of the moment.
 
-A counter-based generator: no state but the moment's number, the same numbers on every device, and
-a world's numbers do not depend on how many others there are.
+A counter-based generator: no state but the moment's number, and a world's numbers do not depend on
+how many others there are. Integers make the uniform numbers, which are the same on every device.
 """
 
 import math
@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+
+from torch_iac_envs.elementary import circle, logarithm, root
 
 GOLDEN = -0x61C8864680B583EB
 """2**64 / golden ratio, as a signed 64-bit integer."""
@@ -46,14 +48,13 @@ def uniform(seeds: Tensor, moment: int, n_numbers: int) -> Tensor:
 
 
 def normal(uniforms: Tensor) -> Tensor:
-    """Return standard normal numbers for an even number of uniform ones, shape `(n, A)`.
+    """Return standard normal numbers for pairs of uniform ones, shape `(2, pairs, A)`.
 
     Source: Box and Muller (1958), A note on the generation of random normal deviates.
     """
-    first, second = uniforms.chunk(2)
-    radius = (-2 * (1 - first).log()).sqrt()
-    angle = 2 * math.pi * second
-    return torch.cat([radius * angle.cos(), radius * angle.sin()])
+    first, second = uniforms.double().unbind()
+    radius = root(-2 * logarithm(1 - first))
+    return (radius * circle(math.tau * second)).to(uniforms.dtype)
 
 
 def _mix(z: Tensor) -> Tensor:
