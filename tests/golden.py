@@ -5,24 +5,30 @@
     python -m tests.golden --steps 300 knn_pybullet     # shorter, and of one kind
 
 A digest is the SHA-256 of all that two robots did, sensed, predicted, erred and learnt, decision by
-decision. `golden.json` holds those that every x86-64 processor must give.
+decision. `golden.json` holds those that every x86-64 processor must give. With `--company`, what
+networks learn alone is held against what they learn with others, too.
 """
 
 import hashlib
 import json
 from argparse import ArgumentParser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
+from torch import Tensor
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
+from torch_iac import networks as stacked
 from torch_iac.agent import IAC, Step
 from torch_iac.config import IACConfig
 from torch_iac.experts import MLPExperts
+from torch_iac.losses import LOSSES
 from torch_iac.meta import MetaPredictor
+from torch_iac.networks import StackedNetworks, Training
 from torch_iac.space import SensorimotorSpace
 
 FILE = Path(__file__).with_name("golden.json")
@@ -61,14 +67,48 @@ def _columns(step: Step) -> list[np.ndarray]:
     return [np.asarray(column, "<f8") for column in columns if column is not None]
 
 
+CASES = (((32, 32), 14, 1, 32), ((8,), 24, 1, 33), ((7,), 7, 3, 5), ((), 14, 2, 3))
+"""Hidden layers, numbers of inputs and outputs, examples in a minibatch."""
+
+
+def learnt(rows: Sequence[int], n_networks: int = 40) -> list[Tensor]:
+    """Return the losses and answers `(rows, ...)` of networks that learn with those of `rows`."""
+    found = []
+    these = torch.tensor(rows)
+    for hidden, n_inputs, n_outputs, size in CASES:
+        generator = torch.Generator().manual_seed(0)
+        inputs = torch.rand(n_networks, 2 * size, n_inputs, generator=generator)
+        targets = torch.rand(n_networks, 2 * size, n_outputs, generator=generator)
+        cpu = torch.device("cpu")
+        networks = StackedNetworks(stacked.MLP(hidden), n_inputs, n_outputs, Training(), cpu)
+        networks.reserve(n_networks)
+        networks.start(torch.arange(n_networks), range(n_networks))
+        for loss in LOSSES:
+            for _ in range(5):
+                losses = networks.train(these, inputs[these], targets[these], size, loss)
+            found += [losses, networks.predict(these, inputs[these, :9])]
+    return found
+
+
+def check_company() -> None:
+    """Check that networks learn alone, to the bit, what they learn with others."""
+    together = learnt(range(40))
+    for rows in ([0], [39], [3, 17]):
+        for alone, all_of_them in zip(learnt(rows), together, strict=True):
+            if not torch.equal(alone, all_of_them[rows]):
+                raise AssertionError(f"networks {rows} learn otherwise alone than in company")
+
+
 def main() -> None:
     """Print the digests, or write them."""
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(RUNS))
     parser.add_argument("--steps", type=int, nargs="+", default=STEPS)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--company", action="store_true")
     options = parser.parse_args()
-    torch.set_num_threads(min(2, torch.get_num_threads()))
+    if options.company:
+        check_company()
     found = {
         name: {str(n_steps): digest(name, n_steps) for n_steps in options.steps}
         for name in options.names

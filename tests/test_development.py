@@ -16,6 +16,8 @@ from torch_iac.training import train
 N_STEPS = 3_000
 SEEDS = range(4)
 
+pytestmark = pytest.mark.xdist_group("development")  # the run is made once, not on every worker
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:

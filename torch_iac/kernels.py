@@ -24,6 +24,7 @@ from torch import Tensor
 from torch_iac.losses import SMALL_ERROR
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+"""What is compiled has the type that it had."""
 
 LEAST_WORK = 200_000
 """Multiplications that are worth another thread: what it costs to wake one, about 20 µs."""
@@ -83,7 +84,8 @@ def squared_distances(situations: Tensor, rows: Tensor, points: Tensor) -> Tenso
     if rows.device.type != "cpu":
         offsets = situations.index_select(0, rows).double().sub_(points[:, :, None])
         return offsets.square_().sum(dim=1)
-    distances = torch.empty(len(rows), situations.shape[2], dtype=torch.float64)
+    shape = (len(rows), situations.shape[2])
+    distances = torch.empty(shape, dtype=torch.float64, device=rows.device)
     arrays = (_array(situations), _array(rows), _array(points), distances.numpy())
     _share(_fill_squared_distances, len(rows), situations[0].numel(), arrays)
     return distances
@@ -102,7 +104,7 @@ def perceptrons(weights: Tensor, rows: Tensor, sizes: Sequence[int], inputs: Ten
         Shape `(A, B, sizes[-1])`.
     """
     n_rows, n_inputs, _ = inputs.shape
-    outputs = torch.empty(n_rows, sizes[-1], n_inputs)
+    outputs = torch.empty(n_rows, sizes[-1], n_inputs, device=rows.device)
     arrays = (_array(weights), _array(rows), np.array(sizes), _array(inputs.mT), outputs.numpy())
     _share(_fill_outputs, n_rows, n_inputs * weights.shape[1], arrays)
     return outputs.mT
@@ -140,7 +142,7 @@ def train_perceptrons(
     Returns:
         Shape `(A,)`, the mean loss in the last minibatch, before its step.
     """
-    losses = torch.empty(len(rows))
+    losses = torch.empty(len(rows), device=rows.device)
     arrays = (
         *(_array(weights), *(_array(column) for column in memory), _array(rows), np.array(sizes)),
         *(_array(inputs.mT), _array(targets.mT), losses.numpy()),
