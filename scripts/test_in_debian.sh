@@ -19,7 +19,7 @@ packages=python3,python3-venv,make,git,ca-certificates,libgl1,libegl1
 
 mkdir -p "$1"
 root=$(cd "$1" && pwd)
-if [ ! -e "$root/etc/debian_version" ]; then
+if [ ! -e "$root/etc/debian_version" ] || [ -e "$root/debootstrap" ]; then
   debootstrap --variant=minbase --include="$packages" trixie "$root" "$mirror"
 fi
 
