@@ -22,13 +22,14 @@ import torch
 from torch import Tensor
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac import networks as stacked
-from torch_iac.agent import IAC, Step
+from torch_iac.agent import IAC
 from torch_iac.config import IACConfig
-from torch_iac.experts import MLPExperts
-from torch_iac.losses import LOSSES
-from torch_iac.meta import MetaPredictor
-from torch_iac.networks import StackedNetworks, Training
+from torch_iac.experts import stacked_networks as stacked
+from torch_iac.experts.network import MLPExperts
+from torch_iac.experts.stacked_networks import StackedNetworks, Training
+from torch_iac.internal.losses import LOSSES
+from torch_iac.meta_predictor import MetaPredictor
+from torch_iac.records import Step
 from torch_iac.space import SensorimotorSpace
 
 FILE = Path(__file__).with_name("golden.json")

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from torch_iac.runs import SUMMARY
+from torch_iac.runs.schema import SUMMARY
 
 
 def live(words: Sequence[str], folder: Path) -> None:

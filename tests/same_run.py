@@ -6,7 +6,8 @@ from typing import Any
 from safetensors.numpy import load_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from torch_iac.runs import CHECKPOINTS, load_run
+from torch_iac.runs.reader import load_run
+from torch_iac.runs.schema import CHECKPOINTS
 
 
 def differences(one: Path, other: Path) -> list[str]:

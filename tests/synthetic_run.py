@@ -15,9 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_iac.agent import RegionSummary, ShadowStep, Step
-from torch_iac.recording import Recorder
-from torch_iac.regions import Genealogy
+from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
+from torch_iac.runs.recorder import Recorder
 from torch_iac.space import Dimension, SensorimotorSpace
 
 ZONES = ("f1", "f2", "f3")

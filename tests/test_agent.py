@@ -127,7 +127,7 @@ def follow(agent: IAC, n_decisions: int) -> list[Step]:
     sensors, steps = world.reset(), []
     for _ in range(n_decisions):
         actions = np.stack([draw.uniform([-1, 0], [1, 10]) for draw in draws])
-        agent.take(actions, sensors)
+        agent.set_actions(actions, sensors)
         sensors = world.step(actions)
         steps.append(agent.observe(sensors))
     return steps
@@ -160,7 +160,7 @@ def test_an_action_is_worth_the_progress_of_its_region(space: SensorimotorSpace)
         for tone in (1.0, 5.0, 9.0):
             actions, sensors = np.full((2, 2), [push, tone]), np.full((2, 2), [1.0, 0.5])
             worth = agent.worth(actions, sensors)
-            agent.take(actions, sensors)
+            agent.set_actions(actions, sensors)
             step = agent.observe(sensors)
             assert torch.equal(worth, step.progress)
             seen.update(worth.tolist())
@@ -188,7 +188,7 @@ def test_actions_of_others_keep_to_the_bounds(
     space: SensorimotorSpace, actions: list[Any], message: str
 ) -> None:
     agent, sensors = IAC(space, SMALL), np.zeros((1, 2), np.float32)
-    for told in (agent.take, agent.worth):
+    for told in (agent.set_actions, agent.worth):
         with pytest.raises(ValueError, match=message):
             told(np.array(actions), sensors)
     with pytest.raises(RuntimeError, match="needs an action"):
@@ -205,7 +205,7 @@ def test_predictions_on_request_are_those_of_decisions(
     sensors = world.reset()
     actions = agent.act(sensors)
     every = agent.predict(actions, sensors)  # of each agent, what each one is about to do
-    monkeypatch.setattr("torch_iac.agent.PREDICTED_AT_ONCE", 6)
+    monkeypatch.setattr("torch_iac.agent.PREDICT_CHUNK", 6)
     np.testing.assert_array_equal(agent.predict(actions, sensors), every)
     step = agent.observe(world.step(actions))
     own = every[range(3), range(3)]
@@ -619,7 +619,7 @@ def test_bad_sensors_are_refused_and_nothing_is_lost(
 def test_observing_needs_an_action_first(space: SensorimotorSpace) -> None:
     agent = IAC(space, SMALL)
     with pytest.raises(
-        RuntimeError, match="needs an action to learn from: call act first, or take"
+        RuntimeError, match="needs an action to learn from: call act first, or set_actions"
     ):
         agent.observe(np.zeros((1, 2), np.float32))
 

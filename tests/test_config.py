@@ -4,12 +4,13 @@ from dataclasses import asdict, fields
 
 import pytest
 
-from torch_iac.choices import Greedy
 from torch_iac.config import PRESETS, IACConfig
-from torch_iac.drives import Progress
-from torch_iac.experts import KNNExperts, MLPExperts, NetworkTraining
-from torch_iac.meta import MetaPredictor
-from torch_iac.networks import MLP, Training
+from torch_iac.drives.choices import Greedy
+from torch_iac.drives.learning_progress import Progress
+from torch_iac.experts.knn import KNNExperts
+from torch_iac.experts.network import MLPExperts, NetworkTraining
+from torch_iac.experts.stacked_networks import MLP, Training
+from torch_iac.meta_predictor import MetaPredictor
 
 PARTS = ("experts", "drive", "choice", "meta", "improvement", "shadows")
 

@@ -30,7 +30,7 @@ from torch_iac import (
     SensorimotorSpace,
     Softmax,
 )
-from torch_iac.networks import StackedNetworks
+from torch_iac.experts.stacked_networks import StackedNetworks
 
 KINEMATIC = "torch_iac_envs/ToyRoomKinematic-v0"
 

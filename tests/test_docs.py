@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from torch_iac.command import main
+from torch_iac.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -50,6 +50,6 @@ def test_links_lead_somewhere(page: Path, link: str) -> None:
 
 def test_every_module_has_its_place_in_the_layout() -> None:
     layout = (ROOT / "docs" / "code.md").read_text()
-    modules = [path.name for path in (ROOT / "torch_iac").glob("[!_]*.py")]
+    modules = [path.relative_to(ROOT).as_posix() for path in (ROOT / "torch_iac").rglob("[!_]*.py")]
     assert modules
     assert [name for name in modules if f"{name}`" not in layout] == []

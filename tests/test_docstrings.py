@@ -13,11 +13,14 @@ import torch_iac
 import torch_iac_envs
 
 FILES = [
-    path
+    (package.__name__, Path(str(package.__file__)).parent, path)
     for package in (torch_iac, torch_iac_envs)
-    for path in sorted(Path(str(package.__file__)).parent.glob("*.py"))
+    for path in sorted(Path(str(package.__file__)).parent.rglob("*.py"))
 ]
-MODULES = {f"{path.parent.name}.{path.stem}": path.read_text() for path in FILES}
+MODULES = {
+    ".".join((name, *path.relative_to(root).with_suffix("").parts)): path.read_text()
+    for name, root, path in FILES
+}
 EXAMPLES = [name for name, text in MODULES.items() if ">>>" in text]
 
 ARRAY = re.compile(r"\b(Tensor|NDArray|ndarray)\b")

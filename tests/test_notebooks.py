@@ -12,7 +12,7 @@ for package in ("ipykernel", "ipywidgets", "nbclient", "pandas"):
 import nbformat  # noqa: E402
 from nbformat import NotebookNode  # noqa: E402
 
-from scripts.run_notebooks import execute, notebooks, tidy  # noqa: E402
+from scripts.docs.run_notebooks import execute, notebooks, tidy  # noqa: E402
 
 PATHS = [pytest.param(path, id=path.stem) for path in notebooks()]
 

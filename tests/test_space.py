@@ -5,7 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torch_iac.space import UNIT_STEP, Dimension, Scale, SensorimotorSpace
+from torch_iac.internal.scaling import UNIT_STEP, Scale
+from torch_iac.space import Dimension, SensorimotorSpace
 
 CPU = torch.device("cpu")
 

@@ -12,9 +12,9 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from numpy.typing import NDArray
 
 from torch_iac import IAC, IACConfig, SensorimotorSpace, training
-from torch_iac.checkpoint import Checkpoints, identity
-from torch_iac.recording import Recorder
-from torch_iac.runs import Run, load_run
+from torch_iac.runs.checkpoint import Checkpoints, identity
+from torch_iac.runs.reader import Run, load_run
+from torch_iac.runs.recorder import Recorder
 from torch_iac.training import train
 
 CONFIG = IACConfig(n_candidates=5, max_examples=20, window=8, delay=8)

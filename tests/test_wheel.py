@@ -15,7 +15,13 @@ import torch_iac
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"torch_iac": ROOT / "torch_iac", "torch_iac_envs": ROOT / "envs" / "torch_iac_envs"}
-LEFT_BEHIND = (".*", "__pycache__", "build", "dist", "*.egg-info", "runs")
+LEFT_BEHIND = (".*", "__pycache__", "build", "dist", "*.egg-info")
+
+
+def left_behind(folder: str, names: list[str]) -> set[str]:
+    """Return what is not copied: what `LEFT_BEHIND` says, and the runs at the root."""
+    left = set(shutil.ignore_patterns(*LEFT_BEHIND)(folder, names))
+    return left | {"runs"} if Path(folder) == ROOT else left
 
 
 def answer(*words: str | Path, where: Path) -> str:
@@ -38,7 +44,7 @@ def answer(*words: str | Path, where: Path) -> str:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel, built from a copy: a build leaves files that find their way into the next."""
     folder = tmp_path_factory.mktemp("wheel")
-    shutil.copytree(ROOT, folder / "source", ignore=shutil.ignore_patterns(*LEFT_BEHIND))
+    shutil.copytree(ROOT, folder / "source", ignore=left_behind)
     build = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder)
     answer(*build, folder / "source", where=folder)
     (built,) = folder.glob("*.whl")

@@ -1,5 +1,5 @@
 """`python -m torch_iac` is the command `torch-iac`."""
 
-from torch_iac.command import main
+from torch_iac.cli.main import main
 
 main()

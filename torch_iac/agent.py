@@ -9,14 +9,19 @@ import torch
 from torch import Tensor
 
 from torch_iac.config import IACConfig
-from torch_iac.drives import Candidates, Curriculum, Knowledge
-from torch_iac.examples import Examples
-from torch_iac.experts import ExpertPool
-from torch_iac.progress import ErrorHistory
-from torch_iac.randomness import RandomStream
-from torch_iac.regions import Genealogy, RegionTree, best_cut
-from torch_iac.space import Scale, SensorimotorSpace
-from torch_iac.state import State, Stateful
+from torch_iac.drives.curriculum import Curriculum
+from torch_iac.drives.protocol import Candidates, Knowledge
+from torch_iac.experts.protocol import ExpertPool
+from torch_iac.internal.devices import available_device
+from torch_iac.internal.randomness import RandomStream
+from torch_iac.internal.scaling import Scale
+from torch_iac.internal.state import State, Stateful
+from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
+from torch_iac.regions.cuts import best_cut
+from torch_iac.regions.error_history import ErrorHistory
+from torch_iac.regions.examples import Examples
+from torch_iac.regions.tree import RegionTree
+from torch_iac.space import SensorimotorSpace
 
 Array = TypeVar("Array", np.ndarray, Tensor)
 """For an array there is an array in return, for a tensor a tensor; each method says the shapes."""
@@ -24,73 +29,8 @@ Array = TypeVar("Array", np.ndarray, Tensor)
 CHOICE_STREAM = 0
 """Which of an agent's random streams its choices are drawn from."""
 
-PREDICTED_AT_ONCE = 4096
-"""Of so many situations, over all agents, the experts are asked at once: each brings its own."""
-
-
-@dataclass(frozen=True)
-class ShadowStep:
-    """What experts that only look on made of a decision.
-
-    Attributes:
-        name: Their name in the config.
-        predictions: Shape `(A, K)`, in raw units.
-        errors: Shape `(A,)`, float64, in scaled units.
-    """
-
-    name: str
-    predictions: Tensor
-    errors: Tensor
-
-
-@dataclass(frozen=True)
-class Step:
-    """One decision of every agent and what came of it; raw units unless said otherwise.
-
-    Attributes:
-        number: Which decision, from 0.
-        actions: Shape `(A, action_dim)`.
-        sensors: Shape `(A, sensor_dim)`, before the action.
-        outcomes: Shape `(A, K)`, what the predicted sensors read after the action.
-        predictions: Shape `(A, K)`, made before learning from the outcome.
-        errors: Shape `(A,)`, float64, absolute or squared as the config says, in scaled units.
-        expected_errors: Shape `(A,)`, what MP expected, in scaled units; None without MP.
-        regions: Shape `(A,)`, the region whose expert predicted, before any split.
-        progress: Shape `(A,)`, float64, of that region when the action was chosen, in scaled units.
-        random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
-        shadows: What the other experts made of it, in the config's order.
-    """
-
-    number: int
-    actions: Tensor
-    sensors: Tensor
-    outcomes: Tensor
-    predictions: Tensor
-    errors: Tensor
-    expected_errors: Tensor | None
-    regions: Tensor
-    progress: Tensor
-    random_actions: Tensor
-    shadows: tuple[ShadowStep, ...]
-
-
-@dataclass(frozen=True)
-class RegionSummary:
-    """The present leaves, by agent, then region; columns of shape `(leaves,)`, on the CPU.
-
-    Attributes:
-        agent: Place of the agent in the population.
-        region: The region's number within its agent.
-        progress: Its last learning progress, in scaled units.
-        mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
-        n_examples: How many examples it holds.
-    """
-
-    agent: Tensor
-    region: Tensor
-    progress: Tensor
-    mean_error: Tensor
-    n_examples: Tensor
+PREDICT_CHUNK = 4096
+"""Situations per chunk, which bounds memory."""
 
 
 @dataclass(frozen=True)
@@ -243,8 +183,8 @@ class IAC(Stateful):
         return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
 
     @torch.no_grad()
-    def take(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> None:
-        """Be told which action each agent takes now, instead of choosing it by `act`.
+    def set_actions(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> None:
+        """Register externally chosen actions, instead of choosing them by `act`.
 
         No such action counts as random (epsilon).
 
@@ -288,13 +228,15 @@ class IAC(Stateful):
             sensors: Shape `(A, sensor_dim)`, in raw units, as an array or a tensor.
 
         Raises:
-            RuntimeError: There was no `act` or `take` before.
+            RuntimeError: There was no `act` or `set_actions` before.
             ValueError: The sensors have the wrong shape, NaN, or values outside their bounds.
             FloatingPointError: A loss is not finite; the message names the agent and the region.
         """
         decision = self._decision
         if decision is None:
-            raise RuntimeError("observe needs an action to learn from: call act first, or take")
+            raise RuntimeError(
+                "observe needs an action to learn from: call act first, or set_actions"
+            )
         readings = self._checked(sensors)
         raw_outcomes = readings.index_select(1, self._outcome_columns)
         outcomes = self._outcome_scale.to_unit(raw_outcomes)
@@ -342,7 +284,7 @@ class IAC(Stateful):
             self._scaled(actions, "actions", len(sensors), self._action_scale),
             self._scaled(sensors, "sensors", len(sensors), self._sensor_scale),
         ]
-        at_once = max(1, PREDICTED_AT_ONCE // self.n_agents)
+        at_once = max(1, PREDICT_CHUNK // self.n_agents)
         situations = torch.split(torch.cat(parts, dim=1), at_once)
         predictions = torch.cat([self._expected_outcomes(of) for of in situations], dim=1)
         predictions = self._outcome_scale.to_raw(predictions)
@@ -547,17 +489,3 @@ class IAC(Stateful):
         self.history.split(split, self.config.inherit_history)
         for pool in (self.experts, *self.shadows.values()):
             pool.split(self.examples, split)
-
-
-def available_device(device: torch.device | str) -> torch.device:
-    """Return a device that this machine has.
-
-    Raises:
-        ValueError: It has no such device.
-    """
-    try:
-        probe = torch.zeros(1, device=device)
-        probe.item()  # a device without memory, such as "meta", has no answer
-        return probe.device
-    except (RuntimeError, AssertionError, ImportError):
-        raise ValueError(f"device must be one that this machine has, got {device}") from None

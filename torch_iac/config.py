@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
-from torch_iac.choices import Choice, Greedy
-from torch_iac.counts import check_count
-from torch_iac.drives import Drive, Progress
-from torch_iac.experts import Experts, KNNExperts
-from torch_iac.meta import ImprovementPredictor, MetaPredictor
+from torch_iac.drives.choices import Choice, Greedy
+from torch_iac.drives.learning_progress import Progress
+from torch_iac.drives.protocol import Drive
+from torch_iac.experts.knn import KNNExperts
+from torch_iac.experts.protocol import Experts
+from torch_iac.internal.validation import check_count
+from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
 
 @dataclass(frozen=True, kw_only=True)

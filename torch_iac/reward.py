@@ -19,10 +19,11 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_iac.agent import IAC, Step
+from torch_iac.agent import IAC
 from torch_iac.config import IACConfig
-from torch_iac.episodes import outcome_of
+from torch_iac.records import Step
 from torch_iac.space import SensorimotorSpace
+from torch_iac.worlds.vector import outcome_of
 
 Array: TypeAlias = NDArray[Any]
 """An action, shape `(action_dim,)`, or an observation, `(sensor_dim,)`, in raw units."""
@@ -238,7 +239,7 @@ class _Onlooker:
         """Be told what is done now."""
         if self._sensors is None:
             raise ResetNeeded("reset must be called before step")
-        self.agent.take(actions, self._sensors)
+        self.agent.set_actions(actions, self._sensors)
         if self._when == "chosen":
             self._worth = self.agent.worth(actions, self._sensors)
 

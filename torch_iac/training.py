@@ -5,18 +5,15 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gymnasium as gym
 from torch import Tensor
 
 from torch_iac.agent import IAC
-from torch_iac.bars import tqdm
-from torch_iac.checkpoint import Checkpoint, Checkpoints
-from torch_iac.counts import check_count
-from torch_iac.episodes import outcome_of
-from torch_iac.recording import Recorder
-
-World = gym.vector.VectorEnv[Any, Any, Any]
-"""Worlds side by side, one an agent; sensors have shape `(A, sensor_dim)`, in raw units."""
+from torch_iac.internal.bars import tqdm
+from torch_iac.internal.validation import check_count
+from torch_iac.runs.checkpoint import Checkpoint, Checkpoints
+from torch_iac.runs.recorder import Recorder
+from torch_iac.worlds.saving import STATE, set_world_state, world_state
+from torch_iac.worlds.vector import World, outcome_of
 
 SECONDS_BETWEEN_LINES = 10.0
 """How often (s) the log speaks of the run where there is no terminal for a progress bar."""
@@ -26,9 +23,6 @@ CHECKPOINT_EVERY = 1000
 
 SHARE_FOR_CHECKPOINTS = 0.05
 """At most this share of the time goes into checkpoints; one that would take more waits."""
-
-STATE = "full_state"
-"""The attribute by which a single world is saved and goes on exactly; it can be read and set."""
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +37,7 @@ def train(
     checkpoint_every: int = CHECKPOINT_EVERY,
     stop: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Let a population live in its world, one world an agent.
+    """Run the act, step, observe loop, one world an agent.
 
     The worlds start from the agents' seeds; if there is a checkpoint, everything goes on from it,
     bit for bit. Where episodes end, the outcome of the last decision is what the world showed
@@ -153,29 +147,6 @@ class _Saver:
         )
         self._ended = time.monotonic()
         self._took = self._ended - started
-
-
-def world_state(env: World) -> Any:
-    """Return what the future of some worlds depends on.
-
-    Raises:
-        AttributeError: They have neither `get_state` nor `STATE`.
-    """
-    whole = getattr(_saved_as_one(env), "get_state", None)
-    return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
-
-
-def set_world_state(env: World, state: Any) -> None:
-    """Let worlds go on from what `world_state` returned, exactly."""
-    whole = getattr(_saved_as_one(env), "set_state", None)
-    if whole:
-        whole(state)
-    else:
-        env.set_attr(STATE, state)  # type: ignore[attr-defined]
-
-
-def _saved_as_one(env: World) -> World:
-    return env if hasattr(env, "get_state") else env.unwrapped
 
 
 def _counted(taken: int, n_decisions: int) -> Iterator[int]:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from scripts.kinematic_accuracy import compare, landings
+from scripts.benchmarks.kinematic_accuracy import compare, landings
 from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract
 from torch_iac_envs.bodies import CHASSIS, FRICTION, WALL
 from torch_iac_envs.kinematic import TOY_BOUNCE, WALL_FRICTION, ToyRoomKinematic, roll

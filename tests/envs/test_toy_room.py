@@ -14,7 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from scripts.world_accuracy import compare
+from scripts.benchmarks.world_accuracy import compare
 from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract
 from torch_iac_envs.toy_room import ToyRoom
 

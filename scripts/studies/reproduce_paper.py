@@ -1,0 +1,273 @@
+"""Does the system do what its papers say? Claim by claim, over many robots.
+
+    python -m scripts.studies.reproduce_paper
+
+lets robots develop in the kinematic room and in pybullet's, with nearest neighbours and networks
+and the drives of the papers, then prints what `scripts.studies.claims` makes of them, as Markdown,
+and draws the generalisation tests. Runs that are in the folder already are not run again;
+`docs/results.md` holds a copy.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import tyro
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+
+import torch_iac as iac
+from scripts.studies.claims import (
+    CLAIMS,
+    F1,
+    LATE,
+    Claim,
+    Group,
+    catching_up,
+    gaps,
+    in_words,
+    last_error,
+    ratio,
+    time_in,
+)
+from scripts.studies.study import KINEMATIC, WORLD, Life, live_all
+from torch_iac.analysis.bootstrap import band, mean
+from torch_iac.analysis.generalisation import F2, sets_aside, tests_of
+from torch_iac.analysis.style import COLOURS, STYLE, legend, save, time_axis
+from torch_iac.runs.reader import Run
+
+TEST_EVERY = 100  # decisions, as in 2007
+
+NETWORKS = iac.MLPExperts()
+MP = iac.MetaPredictor()
+EVENLY = iac.Proportional()
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Robots that are alike but for their seeds.
+
+    Attributes:
+        config: Their numbers.
+        options: The arguments of their world.
+        in_pybullet: Whether they live in pybullet's room as well.
+    """
+
+    config: iac.IACConfig
+    options: Mapping[str, Any] = field(default_factory=dict)
+    in_pybullet: bool = False
+
+
+def _of_2007(drive: iac.Drive, meta: iac.MetaPredictor | None = None) -> Variant:
+    """Return robots with that paper's numbers and senses."""
+    config = replace(iac.PRESETS["iac2007"], drive=drive, meta=meta)
+    return Variant(config, {"beams": 0, "toy_direction": False})
+
+
+VARIANTS = {
+    "knn": Variant(iac.IACConfig(), in_pybullet=True),
+    "knn-random": Variant(iac.IACConfig(drive=iac.Random()), in_pybullet=True),
+    "knn-max": Variant(iac.IACConfig(drive=iac.Error()), in_pybullet=True),
+    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP), in_pybullet=True),
+    "knn-proportional": Variant(iac.IACConfig(drive=iac.AbsoluteProgress(), choice=EVENLY)),
+    "knn-curriculum": Variant(iac.IACConfig(drive=iac.Curriculum())),
+    "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
+    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random()), in_pybullet=True),
+    "mlp-max": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Error()), in_pybullet=True),
+    "mlp-global": Variant(
+        iac.IACConfig(experts=NETWORKS, drive=iac.GlobalProgress(), meta=MP), in_pybullet=True
+    ),
+    "mlp-proportional": Variant(
+        iac.IACConfig(experts=NETWORKS, drive=iac.AbsoluteProgress(), choice=EVENLY)
+    ),
+    "mlp-curriculum": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Curriculum())),
+    "2007": _of_2007(iac.Progress()),
+    "2007-random": _of_2007(iac.Random()),
+    "2007-max": _of_2007(iac.Error()),
+    "2007-global": _of_2007(iac.GlobalProgress(), MP),
+}
+
+
+COLUMNS = {
+    "nearest neighbours": ("kinematic", "knn"),
+    "in pybullet": ("pybullet", "knn"),
+    "networks": ("kinematic", "mlp"),
+    "networks in pybullet": ("pybullet", "mlp"),
+    "numbers and senses of 2007": ("kinematic", "2007"),
+}
+"""The columns of the table of claims: a world, and the name of the robots there."""
+
+DRIVES = ("random", "max", "global", "proportional", "curriculum")
+
+LABELS = {
+    "iac": "IAC",
+    "random": "RANDOM",
+    "max": "MAX",
+    "curriculum": "a curriculum by hand",
+    "proportional": "in proportion to absolute progress",
+}
+"""What is drawn, under which name."""
+
+ERROR_TICKS = (0.02, 0.03, 0.05, 0.1, 0.2)
+
+SETS = {"met": "Contexts met under random actions", "anywhere": "Poses drawn over the room"}
+
+
+@dataclass(frozen=True)
+class Study:
+    """How many robots, and for how long."""
+
+    kinematic_seeds: int = 100
+    """How many robots of each kind live in the kinematic room, with the seeds 0, 1, ..."""
+    pybullet_seeds: int = 30
+    """How many in pybullet's."""
+    block: int = 15
+    """How many of those in pybullet's room are one run."""
+    steps: int = 10_000
+    """How many decisions each takes."""
+    out: Path = Path("runs/paper")
+    """Where the run folders go."""
+    processes: int = 2
+    """How many runs go on at once."""
+
+
+def main(study: Study) -> None:
+    """Run what is not there yet, then print the claims and the conditions, and draw."""
+    runs = runs_of(study)
+    print_claims(runs)
+    print_conditions(runs["kinematic"])
+    figure = draw_tests({kind: group(runs["kinematic"], kind) for kind in ("knn", "mlp")})
+    save(figure, study.out / "generalisation.png")
+    print(f"\nDrawn: {study.out / 'generalisation.png'}")
+
+
+def runs_of(study: Study) -> dict[str, dict[str, list[Run]]]:
+    """Return the runs of each variant in each world; those that are not there yet are run."""
+    places = list(_lives(study))
+    runs = live_all([life for _, _, life in places], study.processes)
+    found: dict[str, dict[str, list[Run]]] = {"kinematic": {}, "pybullet": {}}
+    for (world, name, _), run in zip(places, runs, strict=True):
+        found[world].setdefault(name, []).append(run)
+    return found
+
+
+def group(runs: Mapping[str, Sequence[Run]], kind: str) -> Group:
+    """Return the robots of one kind, by drive, as far as there are any."""
+    found = {"iac": runs[kind]}
+    return found | {d: runs[f"{kind}-{d}"] for d in DRIVES if f"{kind}-{d}" in runs}
+
+
+def print_claims(runs: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
+    """Print what becomes of each claim, in each column."""
+    columns = {title: group(runs[world], kind) for title, (world, kind) in COLUMNS.items()}
+    print("| | paper | claim | measured | reproduced, partly |\n|---|---|---|---|---|")
+    for number, claim in enumerate(CLAIMS, 1):
+        print(f"| {number} | {claim.paper} | {claim.says} | {claim.measured} | {claim.bars} |")
+    titles = [f"{t} ({sum(r.n_agents for r in of['iac'])})" for t, of in columns.items()]
+    print(f"\n| | {' | '.join(titles)} |")
+    print("|---" * (1 + len(titles)) + "|")
+    for number, claim in enumerate(CLAIMS, 1):
+        cells = [_cell(claim, robots) for robots in columns.values()]
+        print(f"| {number} | {' | '.join(cells)} |")
+
+
+def _cell(claim: Claim, robots: Group) -> str:
+    if any(name not in robots for name in claim.needs):
+        return ""
+    found = claim.number(robots)
+    return f"**{claim.verdict(found)}** {in_words(found, claim.unit)}"
+
+
+def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
+    """Print how every kind of robot does on the tests, beside RANDOM of its own kind."""
+    titles = ["robots", "time in f1", "in f2", "gaps in f2"]
+    titles += [
+        title
+        for where in ("contexts met", "anywhere")
+        for title in (f"error, {where}", "of RANDOM's", "RANDOM's last error at")
+    ]
+    print(f"\n| {' | '.join(titles)} |")
+    print("|---" * len(titles) + "|")
+    for name, mine in runs.items():
+        others = runs[f"{name.partition('-')[0]}-random"]
+        cells = [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        sets = sets_aside(KINEMATIC, tuple(VARIANTS[name].options.items()))
+        cells.append(in_words(mean(gaps(mine, sets["met"])), ".3f"))
+        for which in SETS:
+            errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
+            cells += [in_words(mean(errors), ".4f"), in_words(ratio(errors, theirs), ".2f")]
+            cells.append(when_reached(catching_up(mine, others, which)))
+        print(f"| {name} | {' | '.join(cells)} |")
+
+
+def when_reached(steps: np.ndarray) -> str:
+    """Return the median of when robots came somewhere, those that never did being the last."""
+    median = np.median(np.nan_to_num(steps, nan=np.inf))
+    count = f"{np.isfinite(steps).sum()} of {len(steps)}"
+    return f"{median:,.0f} ({count})" if np.isfinite(median) else f"never ({count} did)"
+
+
+def draw_tests(groups: Mapping[str, Group]) -> Figure:
+    """Return how the errors of some kinds of robots go on both test sets."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+        panels = figure.subplots(len(groups), len(SETS), sharex=True, sharey=True)
+        kinds = {"knn": "nearest neighbours", "mlp": "networks"}
+        for row, (kind, robots) in zip(panels, groups.items(), strict=True):
+            curves = {
+                label: (colour, robots[name])
+                for colour, (name, label) in zip(COLOURS, LABELS.items(), strict=False)
+                if name in robots
+            }
+            for panel, (which, title) in zip(row, SETS.items(), strict=True):
+                draw_curves(panel, curves, which)
+                panel.set_title(f"{title}, {kinds[kind]}", fontsize=8)
+            row[0].set_ylabel("Mean error in f2 (scaled)")
+        for panel in panels[:-1].flat:
+            panel.set_xlabel("")
+        legend(figure, panels[0][0].get_legend_handles_labels()[0], n_columns=3)
+    return figure
+
+
+def draw_curves(panel: Axes, curves: Mapping[str, tuple[str, Sequence[Run]]], which: str) -> None:
+    """Draw how errors go on a test set: under each label, in a colour, of some runs."""
+    for label, (colour, runs) in curves.items():
+        steps, errors = tests_of(runs, which, "absolute")
+        panel.plot(steps, errors.mean(axis=1), color=colour, label=label, linewidth=1.2)
+        panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
+    time_axis(panel, int(steps[-1]), n_ticks=4)
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
+    panel.yaxis.set_minor_locator(NullLocator())
+    panel.yaxis.set_major_formatter("{x:g}")
+
+
+def _lives(study: Study) -> Iterator[tuple[str, str, Life]]:
+    """Return every run, with its world and its variant."""
+    whole = range(study.kinematic_seeds)
+    blocks = [
+        range(first, min(first + study.block, study.pybullet_seeds))
+        for first in range(0, study.pybullet_seeds, study.block)
+    ]
+    for name, variant in VARIANTS.items():
+        yield "kinematic", name, life_of(study.out, "kinematic", name, variant, whole, study.steps)
+        for seeds in blocks if variant.in_pybullet else ():
+            life = life_of(study.out, "pybullet", name, variant, seeds, study.steps)
+            yield "pybullet", name, life
+
+
+def life_of(
+    out: Path, world: str, name: str, variant: Variant, seeds: range, n_decisions: int
+) -> Life:
+    """Return the run of some robots of a variant in a world."""
+    folder = out / world / name / f"seeds-{seeds.start:03d}-{seeds.stop - 1:03d}"
+    place = {"kinematic": KINEMATIC, "pybullet": WORLD}[world]
+    return Life(folder, variant.config, seeds, n_decisions, place, variant.options, TEST_EVERY)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))

@@ -1,0 +1,174 @@
+"""How much does development depend on the numbers that the paper does not say, or just says?
+
+    python -m scripts.studies.sensitivity
+
+One number at a time is varied around the defaults, in the kinematic room with nearest neighbours.
+Draws, and prints as Markdown, the time in f1 and in f2 and the robots that focus on f3 and then on
+f2. Runs that are in the folder already are not run again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import tyro
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+from tqdm import tqdm
+
+from scripts.studies.claims import F1, in_order, in_words, share, time_in
+from scripts.studies.study import KINEMATIC, Life, live_together
+from torch_iac import IACConfig, KNNExperts
+from torch_iac.analysis.bootstrap import Estimate, mean
+from torch_iac.analysis.generalisation import F2
+from torch_iac.analysis.style import COLOURS, STYLE, legend, save
+from torch_iac.runs.reader import Run, load_run
+from torch_iac.runs.summary import SETTLING
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that is varied.
+
+    Attributes:
+        title: What it is called, with the paper's symbol.
+        values: Its values; the default is among them.
+        default: The default.
+        config: The robots' numbers for a value.
+        is_noise: Whether it is the world's sensor noise rather than the robots'.
+    """
+
+    title: str
+    values: Sequence[float]
+    default: float
+    config: Callable[[float], IACConfig]
+    is_noise: bool = False
+
+
+PARAMETERS = {
+    "max_examples": Parameter(
+        "NS", (60, 125, 250, 500, 1000), 250, lambda value: IACConfig(max_examples=int(value))
+    ),
+    "delay": Parameter(
+        "DELAY",
+        (25, 50, 150, 300, 600),
+        150,
+        lambda value: IACConfig(window=int(value), delay=int(value)),
+    ),
+    "epsilon": Parameter(
+        "epsilon", (0.0, 0.05, 0.1, 0.2, 0.35), 0.1, lambda value: IACConfig(epsilon=value)
+    ),
+    "n_candidates": Parameter(
+        "candidates", (5, 15, 50, 150), 50, lambda value: IACConfig(n_candidates=int(value))
+    ),
+    "balance": Parameter(
+        "balance", (0.0, 0.05, 0.15, 0.3, 0.45), 0.15, lambda value: IACConfig(balance=value)
+    ),
+    "k": Parameter(
+        "k", (1, 3, 5, 10, 20), 1, lambda value: IACConfig(experts=KNNExperts(k=int(value)))
+    ),
+    "sensor_noise": Parameter(
+        "sensor noise (m)",
+        (0.0, 0.005, 0.01, 0.02, 0.05),
+        0.01,
+        lambda value: IACConfig(),  # noqa: ARG005 - the robots stay as they are
+        is_noise=True,
+    ),
+}
+
+MEASURES: dict[str, Callable[[Sequence[Run]], Estimate]] = {
+    "time in f1 after 1,000": lambda runs: mean(time_in(runs, F1, SETTLING)),
+    "time in f2 after 1,000": lambda runs: mean(time_in(runs, F2, SETTLING)),
+    "robots that focus on f3, then on f2": lambda runs: share(in_order(runs)),
+}
+
+
+@dataclass(frozen=True)
+class Study:
+    """How many robots, and for how long."""
+
+    seeds: int = 32
+    """How many robots for each value, with the seeds 0, 1, ..."""
+    steps: int = 8_000
+    """How many decisions each takes."""
+    out: Path = Path("runs/sensitivity")
+    """Where the run folders and the figure go."""
+    processes: int = 2
+    """How many runs go on at once."""
+
+
+def main(study: Study) -> None:
+    """Run what is not there yet, then print and draw."""
+    places = {
+        (name, value): _life(study, name, parameter, value)
+        for name, parameter in PARAMETERS.items()
+        for value in parameter.values
+    }
+    live_side_by_side(
+        list({life.folder: life for life in places.values()}.values()), study.processes
+    )
+    found = {
+        place: {title: of([load_run(life.folder)]) for title, of in MEASURES.items()}
+        for place, life in places.items()
+    }
+    print(f"| parameter | value | {' | '.join(MEASURES)} |\n|---|---|" + "---|" * len(MEASURES))
+    for (name, value), measures in found.items():
+        cells = [in_words(of, ".1%") for of in measures.values()]
+        is_default = value == PARAMETERS[name].default
+        mark = f"**{value:g}**" if is_default else f"{value:g}"
+        print(f"| {PARAMETERS[name].title} | {mark} | {' | '.join(cells)} |")
+    save(draw(found), study.out / "sensitivity.png")
+
+
+def live_side_by_side(lives: Sequence[Life], processes: int) -> None:
+    """Carry out runs, those in worlds with the same options side by side."""
+    by_options: dict[tuple[tuple[str, object], ...], list[Life]] = {}
+    for life in lives:
+        by_options.setdefault(tuple(life.options.items()), []).append(life)
+    with ProcessPoolExecutor(processes) as pool:
+        list(tqdm(pool.map(live_together, by_options.values()), unit="world", disable=None))
+
+
+def _life(study: Study, name: str, parameter: Parameter, value: float) -> Life:
+    """Return the run with a value; defaults share one."""
+    is_default = value == parameter.default
+    folder = study.out / ("default" if is_default else f"{name}={value:g}")
+    options = {"sensor_noise": value} if parameter.is_noise and not is_default else {}
+    config = IACConfig() if is_default else parameter.config(value)
+    return Life(folder, config, range(study.seeds), study.steps, KINEMATIC, options)
+
+
+def draw(found: Mapping[tuple[str, float], Mapping[str, Estimate]]) -> Figure:
+    """Return a panel for each parameter, with a curve for each measure."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+        panels = figure.subplots(2, 4, sharey=True)
+        for panel, (name, parameter) in zip(panels.flat, PARAMETERS.items(), strict=False):
+            _draw_panel(panel, parameter, [found[name, value] for value in parameter.values])
+        panels[0, 0].set_ylim(0, 1)
+        for row in panels:
+            row[0].yaxis.set_major_formatter(PercentFormatter(1.0))
+        panels[-1, -1].axis("off")
+        legend(figure, panels[0, 0].get_legend_handles_labels()[0], n_columns=3)
+    return figure
+
+
+def _draw_panel(panel: Axes, parameter: Parameter, found: Sequence[Mapping[str, Estimate]]) -> None:
+    """Draw the measures over a parameter's values, which stand at equal distances."""
+    places = range(len(parameter.values))
+    for colour, title in zip(COLOURS[1:], MEASURES, strict=False):
+        of = [measures[title] for measures in found]
+        panel.plot(places, [e.value for e in of], "o-", color=colour, label=title, markersize=3)
+        panel.fill_between(
+            places, [e.low for e in of], [e.high for e in of], color=colour, alpha=0.2, linewidth=0
+        )
+    panel.axvline(parameter.values.index(parameter.default), color="#999999", linewidth=0.8)
+    panel.set_xticks(places, [f"{value:g}" for value in parameter.values])
+    panel.set_title(parameter.title, fontsize=8)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Study, description=__doc__))

@@ -1,0 +1,116 @@
+"""The estimate of the memory that a run needs, held to what agents really keep."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace
+from torch_iac.cli import memory_estimate
+from torch_iac.cli.memory_estimate import check_memory, free_memory, memory_needed
+
+N_AGENTS, N_DECISIONS = 64, 300
+KNN = IACConfig(max_examples=40, n_candidates=5)
+CONFIGS = {
+    "knn": KNN,
+    "lopsided": replace(KNN, balance=0.0),
+    "mlp": replace(KNN, experts=MLPExperts(hidden=(8,), minibatches=1)),
+    "mp": replace(KNN, meta=MetaPredictor(memory=100, minibatch_size=8)),
+    "shadow": replace(KNN, shadows={"mlp": MLPExperts(hidden=(16,), minibatches=1)}),
+}
+
+
+def tensor_bytes(thing: Any, seen: dict[int, Any]) -> int:
+    """Return how many bytes the tensors under a thing take, each storage once."""
+    if isinstance(thing, torch.Tensor):
+        place = thing.untyped_storage().data_ptr()
+        return 0 if seen.setdefault(place, thing) is not thing else thing.untyped_storage().nbytes()
+    if id(thing) in seen:
+        return 0
+    seen[id(thing)] = thing
+    parts = vars(thing).values() if hasattr(thing, "__dict__") else ()
+    if isinstance(thing, dict):
+        parts = thing.values()
+    elif isinstance(thing, (list, tuple)):
+        parts = thing
+    return sum(tensor_bytes(part, seen) for part in parts)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_the_estimate_is_above_what_agents_keep_and_not_far(
+    space: SensorimotorSpace, name: str
+) -> None:
+    agent = IAC(space, CONFIGS[name], range(N_AGENTS))
+    numbers = torch.Generator().manual_seed(0)
+    for _ in range(N_DECISIONS):
+        agent.act(torch.rand(N_AGENTS, 2, generator=numbers))
+        agent.observe(torch.rand(N_AGENTS, 2, generator=numbers))
+    kept = tensor_bytes(agent, {})
+    need = memory_needed(space, CONFIGS[name], N_AGENTS, N_DECISIONS)
+    assert kept <= need.tables <= 3 * kept
+    assert need.tables + need.working <= need.on_device
+    assert (need.recorded, need.on_host) == (0, 0)
+
+
+def test_more_of_anything_needs_more(space: SensorimotorSpace) -> None:
+    config = CONFIGS["knn"]
+    least = memory_needed(space, config, 10, 100, 1)
+    for more in ((20, 100, 1), (10, 1000, 1), (10, 100, 10)):
+        need = memory_needed(space, config, *more)
+        assert need.on_device + need.on_host > least.on_device + least.on_host, more
+
+
+@pytest.mark.parametrize("place", ["cpu", "cuda:1"])
+def test_what_will_not_fit_is_refused_with_both_numbers(
+    space: SensorimotorSpace, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    free = {place: 10**7}
+    monkeypatch.setattr(memory_estimate, "free_memory", lambda device: free.get(str(device)))
+    device = torch.device(place)
+    check_memory(space, CONFIGS["knn"], 4, 1000, 4, device)
+    message = (
+        r"a run must fit into memory: 4,000 agents and 1,000 decisions need about \d\.\d GB on "
+        rf"{place}, got 0\.0 GB free; lower agents, steps or max_examples"
+    )
+    with pytest.raises(ValueError, match=message):
+        check_memory(space, CONFIGS["knn"], 4000, 1000, 64, device)
+
+
+def test_worlds_and_records_need_the_main_memory(
+    space: SensorimotorSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        memory_estimate, "free_memory", lambda on: 10**12 if on.type == "cuda" else 10**7
+    )
+    few, run = 10, (space, CONFIGS["knn"], 4000, 1000)
+    gpu = torch.device("cuda")
+    check_memory(*run, few, gpu)
+    with pytest.raises(ValueError, match="GB on cpu, got"):
+        check_memory(*run, 4000, gpu)
+    with pytest.raises(ValueError, match="GB on cpu, got"):
+        check_memory(*run, few, gpu, world_bytes=10**4)
+
+
+def test_where_free_memory_is_not_known_nothing_is_refused(
+    space: SensorimotorSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory_estimate, "free_memory", lambda _: None)
+    check_memory(space, CONFIGS["knn"], 10**9, 10**9, 1, torch.device("cpu"))
+    assert free_memory(torch.device("meta")) is None
+
+
+@pytest.mark.parametrize(("limit", "free"), [("5000", 5000 - 3000 + 1000), ("max", None)])
+def test_a_limit_of_the_group_of_processes_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, free: int | None
+) -> None:
+    (tmp_path / "most").write_text(f"{limit}\n")
+    (tmp_path / "taken").write_text("3000\n")
+    (tmp_path / "memory.stat").write_text("anon 2000\nidle 1000\n")
+    monkeypatch.setattr(memory_estimate, "GROUPS", ((str(tmp_path), "most", "taken", "idle"),))
+    known = free_memory(torch.device("cpu"))
+    if free is not None:
+        assert known == free
+    else:
+        assert known is None or known > 5000

@@ -1,0 +1,153 @@
+"""Reports: numbers against those in the runs' summaries, files, pictures, TensorBoard's page."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.metadata import (
+    EXPERIMENT_TAG,
+    SESSION_START_INFO_TAG,
+    parse_experiment_plugin_data,
+    parse_session_start_info_plugin_data,
+)
+
+from tests.synthetic_run import write_run
+from torch_iac.analysis.bootstrap import Estimate
+from torch_iac.compare.plan import Comparison, Variant
+from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
+from torch_iac.compare.report import save_report
+from torch_iac.compare.results import differences_of, measure_rows, measures_of
+from torch_iac.runs.reader import Run, load_run
+
+VARIANTS = (Variant("wide", ()), Variant("narrow", ("--window", "75")))
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    """Two variants, made up, each with a block of three and one of two robots; one run failed."""
+    folder = tmp_path_factory.mktemp("comparisons") / "a"
+    comparison = Comparison(folder, VARIANTS, ("--steps", "1500"), n_seeds=5, block=3)
+    for job in comparison.jobs():
+        if job.name == "narrow/seeds-003-004":
+            job.fail("no luck")
+        else:
+            own = {"window": 75, "source": "region"} if job.variant == "narrow" else {"window": 150}
+            iac = {**own, "epsilon": 0.1}
+            config = {"command": list(job.words), "iac": iac}
+            write_run(job.folder, len(job.seeds), config=config, shadows={"mlp": 2.0})
+    save_report(comparison)
+    return comparison
+
+
+@pytest.fixture(scope="module")
+def runs(comparison: Comparison) -> dict[str, list[Run]]:
+    """Its runs that have ended."""
+    done = [job for job in comparison.jobs() if job.state == "done"]
+    return {
+        variant.name: [load_run(job.folder) for job in done if job.variant == variant.name]
+        for variant in VARIANTS
+    }
+
+
+def test_the_table_has_a_row_a_robot(comparison: Comparison, runs: dict[str, list[Run]]) -> None:
+    table = pq.read_table(comparison.folder / "measures.parquet").to_pylist()
+    assert [row["variant"] for row in table] == ["wide"] * 5 + ["narrow"] * 3
+    agent = runs["wide"][0].summary["agents"][1]
+    assert table[1]["run"] == "wide/seeds-000-002"
+    assert table[1]["seed"] == agent["seed"]
+    assert table[1]["error"] == agent["errors"]["main"]["mean"]
+    assert table[1]["shadow/mlp/error"] == agent["errors"]["mlp"]["mean"]
+    assert table[1]["share/f2"] == agent["settled_zone_shares"]["f2"]
+    assert table[1]["error/f1"] == agent["late_zone_errors"]["f1"]
+    assert table[1]["focus/f3"] == agent["focus"]["f3"]
+    assert table[1]["n_regions"] == agent["n_regions"]
+
+
+def test_differences_pair_the_seeds_that_both_have(
+    comparison: Comparison, runs: dict[str, list[Run]]
+) -> None:
+    measures = measures_of([run for of in runs.values() for run in of])
+    rows = measure_rows(comparison, runs, measures)
+    by_name = {m.name: m for m in measures}
+    for row in rows:
+        row["seed"] = rows.index(row) % 5  # those of made-up runs repeat
+        row["error"] = row["seed"] + (0.5 if row["variant"] == "wide" else 0.0)
+        row["focus/f2"] = math.nan if row["seed"] == 1 else row["seed"]
+    found = differences_of(rows, [by_name["error"], by_name["focus/f2"]], ["wide", "narrow"])
+    by = found[0].by
+    assert [by.value, by.low, by.high, by.n] == pytest.approx([0.5, 0.5, 0.5, 3])
+    # Of 0.5, 1.5, 2.5 against 0, 1, 2 a third of the pairs are lower, which is better.
+    assert found[0].improvement is not None
+    assert found[0].improvement.value == pytest.approx(1 / 3)
+    assert found[1].by.n == 2
+
+
+def test_the_report_says_what_was_compared_and_what_is_missing(comparison: Comparison) -> None:
+    text = (comparison.folder / "report.md").read_text()
+    assert "| narrow | `--window 75` | 1 done, 1 failed |" in text
+    assert "options for all: `--steps 1500`" in text
+    assert "- narrow/seeds-003-004 failed: no luck (`narrow/seeds-003-004.log`)" in text
+    for name in ("shares", "errors", "improvement"):
+        assert f"(figures/{name}.png)" in text
+        assert (comparison.folder / "figures" / f"{name}.png").stat().st_size > 1000
+
+
+def test_curves_are_there_for_notebooks(comparison: Comparison, runs: dict[str, list[Run]]) -> None:
+    table = pq.read_table(comparison.folder / "curves.parquet").to_pylist()
+    assert len(table) == (5 + 3) * 6 * 4
+    shares = {
+        zone: [row["share"] for row in table if row["zone"] == zone and row["variant"] == "narrow"]
+        for zone in ("f1", "f2", "f3")
+    }
+    expected = np.mean(
+        [agent["zone_shares"]["f2"] for agent in runs["narrow"][0].summary["agents"]]
+    )
+    assert np.mean(shares["f2"]) == pytest.approx(expected)
+    assert np.allclose(np.sum(list(shares.values()), axis=0), 1)
+    assert {row["share"] for row in table if row["zone"] is None} == {1.0}
+
+
+def test_tensorboard_finds_settings_and_measures(comparison: Comparison) -> None:
+    save_report(comparison)  # a second report takes the place of the first
+    (whole,) = comparison.folder.glob("events.out.tfevents.*.hparams")
+    content = EventAccumulator(str(whole)).Reload().SummaryMetadata(EXPERIMENT_TAG)
+    experiment = parse_experiment_plugin_data(content.plugin_data.content)
+    names = [info.name for info in experiment.hparam_infos]
+    assert names == ["variant", "seed", "window", "source"]
+    assert list(experiment.hparam_infos[3].domain_discrete) == ["none", "region"]
+    tags = [info.name.tag for info in experiment.metric_infos]
+    assert "measures/error" in tags
+    run = comparison.folder / "narrow" / "seeds-000-002"
+    (own,) = run.glob("events.out.tfevents.*.hparams")
+    events = EventAccumulator(str(own)).Reload()
+    content = events.SummaryMetadata(SESSION_START_INFO_TAG)
+    start = parse_session_start_info_plugin_data(content.plugin_data.content)
+    assert start.hparams["variant"].string_value == "narrow"
+    assert start.hparams["window"].number_value == 75
+    assert start.hparams["seed"].string_value == "100 to 102"
+    (value,) = events.Scalars("measures/n_regions")
+    assert (value.value, value.step) == (load_run(run).summary["n_regions"], 1500)
+
+
+def test_without_a_run_that_has_ended_there_is_no_report(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must hold a run that has ended"):
+        save_report(Comparison(tmp_path, VARIANTS))
+
+
+@pytest.mark.parametrize("n_variants", [1, 3, 9])
+def test_pictures_hold_what_is_there(runs: dict[str, list[Run]], n_variants: int) -> None:
+    curves = {f"variant {n}": Curves.of(runs["wide"]) for n in range(n_variants)}
+    for figure in (draw_shares(curves), draw_errors(curves)):
+        panels = figure.axes
+        assert all(len(panel.lines) == n_variants for panel in panels)
+        styles = {(line.get_color(), line.get_linestyle()) for line in panels[0].lines}
+        assert len(styles) == n_variants
+    curves["variant 0"].errors[:2, 0, 1] = np.nan  # a robot that was not there
+    curves["variant 0"].errors[3, :, 1] = np.nan
+    draw_errors(curves)
+    pairs = {f"variant {n} over 0": Estimate(0.6, 0.4, 0.9, 5) for n in range(n_variants)}
+    figure = draw_improvements({f"measure {n}": pairs for n in range(5)})
+    assert sum(panel.get_visible() for panel in figure.axes) == 5

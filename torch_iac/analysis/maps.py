@@ -1,0 +1,214 @@
+"""Maps of a robot's regions: where they lie in a plane, and which came of which."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+from torch_iac.analysis.figures import region_colours
+from torch_iac.analysis.partition import Partition, partition_of, situation_at
+from torch_iac.analysis.style import MIXED_COLOUR, STYLE, WIDE, legend, time_axis, zone_colour
+from torch_iac.runs.reader import Run
+from torch_iac.runs.schema import WINDOW
+
+SHADES = LinearSegmentedColormap.from_list("progress", ["#ffffff", "#8c8c8c"])
+"""White for no progress; dots in the colours of zones stand out from every shade."""
+
+STAR: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "none"}
+DOT: dict[str, Any] = {"marker": ".", "markersize": 3, "linestyle": "none"}
+"""How the decision that is being chosen looks, and how those before it do."""
+
+PANELS_A_ROW = 3
+"""How many planes stand side by side."""
+
+PANEL = 2.3
+"""Inches: the height of a row of panels."""
+
+MOST_LABELS = 5
+"""The tree says what the first so many cuts were."""
+
+
+def draw_partition(
+    run: Run,
+    steps: Sequence[int],
+    across: str,
+    up: str,
+    at: Mapping[str, float] | None = None,
+    agent: int = 0,
+) -> Figure:
+    """Return how a plane of the space was divided when some decisions were chosen, one a panel.
+
+    The darker a region, the more progress the robot made there. A star is the decision itself, dots
+    are the `WINDOW` decisions before it in the colours of their zones, wherever they were in the
+    other dimensions.
+
+    Args:
+        run: The run.
+        steps: The decisions.
+        across: The plane's horizontal dimension.
+        up: Its vertical one.
+        at: Other coordinates of the plane, in raw units. Those that are not given are the
+            situation's in which the decision was taken.
+        agent: Whose space.
+
+    Raises:
+        ValueError: There is no such decision, dimension or agent, or a coordinate is out of bounds.
+    """
+    planes = [_plane(run, step, (across, up), at or {}, agent) for step in steps]
+    highest = max(float(plane.progress.max()) for plane in planes)
+    shades = ScalarMappable(Normalize(0, highest if highest > 0 else 1), SHADES)
+    with mpl.rc_context(STYLE):
+        figure, panels = _panels(len(steps))
+        for panel, step, plane in zip(panels, steps, planes, strict=True):
+            _draw_rectangles(panel, plane, (across, up), shades)
+            _draw_decisions(panel, run, step, (across, up), agent)
+            panel.set_title(f"decision {step:,}", fontsize=8)
+        figure.supxlabel(across, fontsize=8)
+        figure.supylabel(up, fontsize=8)
+        figure.colorbar(
+            shades, ax=panels, label="Learning progress (scaled)", aspect=30, extend="min"
+        )
+        dots = {name: zone_colour(zone) for zone, name in enumerate(run.zone_names)}
+        key = [Line2D([], [], color=colour, label=name, **DOT) for name, colour in dots.items()]
+        legend(figure, [*key, Line2D([], [], label="the decision", **STAR)])
+    return figure
+
+
+def draw_tree(run: Run, agent: int = 0) -> Figure:
+    """Return which region came of which, from left to right in time.
+
+    A region is a line from its birth to its split or the end of the run; where it splits, what lies
+    below the cut goes down. The colours are those of figure 2.
+
+    Args:
+        run: The run.
+        agent: Whose regions.
+
+    Raises:
+        ValueError: There is no such agent, or its steps are not recorded.
+    """
+    family = run.family(agent).to_pylist()
+    heights = _heights(family)
+    colours, key = region_colours(run, agent)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDE[0], 3.4), layout="constrained")
+        axes = figure.subplots()
+        time_axis(axes, run.n_decisions)
+        lives = [
+            [(row["born_step"], height), (_end(row, run), height)]
+            for row, height in zip(family, heights, strict=True)
+        ]
+        axes.add_collection(LineCollection(lives, colors=colours, linewidths=1.2))
+        _draw_splits(axes, family, heights)
+        axes.set_ylim(-1, max(heights) + 1)
+        axes.yaxis.set_visible(False)
+        axes.spines["left"].set_visible(False)
+        legend(figure, [Line2D([], [], color=of, label=name) for name, of in key.items()])
+    return figure
+
+
+def _plane(
+    run: Run, step: int, axes: tuple[str, str], at: Mapping[str, float], agent: int
+) -> Partition:
+    """Return the leaves that a plane goes through."""
+    point = {**situation_at(run, step, agent), **at}
+    others = {name: value for name, value in point.items() if name not in axes}
+    return partition_of(run, step, agent).through(others)
+
+
+def _panels(n_panels: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with so many panels, in rows."""
+    n_columns = min(PANELS_A_ROW, n_panels)
+    n_rows = -(-n_panels // n_columns)
+    width = WIDE[0] * (n_columns + 1) / (PANELS_A_ROW + 1)
+    figure = Figure(figsize=(width, PANEL * n_rows + 0.5), layout="constrained")
+    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for panel in panels[n_panels:]:
+        panel.set_visible(False)
+    return figure, panels[:n_panels].tolist()
+
+
+def _draw_rectangles(
+    panel: Axes, plane: Partition, axes: tuple[str, str], shades: ScalarMappable
+) -> None:
+    """Draw the regions of a plane, and show all of it."""
+    (left, right), (bottom, top) = (plane.sides(name) for name in axes)
+    for region, progress in enumerate(plane.progress):
+        corner, width = (left[region], bottom[region]), right[region] - left[region]
+        shade = shades.to_rgba(progress)
+        height = top[region] - bottom[region]
+        panel.add_patch(
+            Rectangle(corner, width, height, facecolor=shade, edgecolor="black", linewidth=0.6)
+        )
+    panel.spines[:].set_visible(True)
+    panel.set_xlim(left.min(), right.max())
+    panel.set_ylim(bottom.min(), top.max())
+
+
+def _draw_decisions(panel: Axes, run: Run, step: int, axes: tuple[str, str], agent: int) -> None:
+    """Draw a decision and those before it."""
+    actions = {action.name for action in run.space.actions}
+    columns = [f"{'action' if name in actions else 'sensor'}/{name}" for name in axes]
+    wanted = [*columns, "zone"] if run.zone_names else columns
+    recent = run.table(wanted, agent).slice(max(0, step - WINDOW), min(step, WINDOW) + 1)
+    points = [recent[column].to_numpy() for column in columns]
+    before = np.arange(len(recent) - 1)
+    zones = recent["zone"].to_numpy()[before] if run.zone_names else None
+    for zone in range(max(1, len(run.zone_names))):
+        here = before if zones is None else before[zones == zone]
+        colour = MIXED_COLOUR if zones is None else zone_colour(zone)
+        panel.plot(*(of[here] for of in points), color=colour, **DOT)
+    panel.plot(*(of[-1:] for of in points), clip_on=False, zorder=5, **STAR)
+
+
+def _heights(family: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Return where regions are drawn: leaves in order of their cuts, parents between children."""
+    children: dict[int, list[int]] = {}
+    for row in family:
+        children.setdefault(row["parent"], []).append(row["region"])
+    heights = [0.0] * len(family)
+    to_visit, n_leaves = [0], 0
+    while to_visit:  # what lies below a cut first
+        region = to_visit.pop()
+        if region in children:
+            to_visit += reversed(children[region])
+        else:
+            heights[region], n_leaves = n_leaves, n_leaves + 1
+    for row in reversed(family):  # children come after their parents
+        if row["region"] in children:
+            heights[row["region"]] = float(np.mean([heights[c] for c in children[row["region"]]]))
+    return heights
+
+
+def _end(row: Mapping[str, Any], run: Run) -> int:
+    return int(row["split_step"]) if row["split_step"] >= 0 else run.n_decisions
+
+
+def _draw_splits(axes: Axes, family: Sequence[Mapping[str, Any]], heights: Sequence[float]) -> None:
+    """Join children to their parents, and say what the first cuts were."""
+    for row in family[1:]:
+        ends = [heights[row["parent"]], heights[row["region"]]]
+        axes.plot([row["born_step"]] * 2, ends, color=MIXED_COLOUR, linewidth=0.6, zorder=0)
+    cuts = sorted((row for row in family if row["split_step"] >= 0), key=_split_step)
+    for row in cuts[:MOST_LABELS]:
+        axes.annotate(
+            f"{row['cut_dimension']} at {row['cut_value']:.2f}",
+            (row["split_step"], heights[row["region"]]),
+            (3, 0),
+            textcoords="offset points",
+            fontsize=6,
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+        )
+
+
+def _split_step(row: Mapping[str, Any]) -> int:
+    return int(row["split_step"])

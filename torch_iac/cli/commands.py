@@ -1,0 +1,136 @@
+"""What the commands but `torch-iac train` can be told; it is read without what carries them out."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torch_iac.internal.validation import check_count
+from torch_iac.replay.length import N_DECISIONS
+
+
+@dataclass(frozen=True)
+class Resume:
+    """Go on with a run that was stopped or killed, from its last checkpoint, bit for bit.
+
+    Raises:
+        ValueError: `steps` is below 1 or too large.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    steps: int | None = None
+    """How many decisions each robot takes in all; by default as many as when the run began."""
+
+    def __post_init__(self) -> None:
+        if self.steps is not None:
+            check_count("steps", self.steps)
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Let robots of several variants develop, seed by seed, and report how they differ.
+
+    Words after -- are options of torch-iac train for all runs. The same command, or just the
+    folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
+    """
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The folder of all the runs and of the report."""
+    variant: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
+    first is what others are compared with."""
+    variants: Path | None = None
+    """A JSON file with variants: under each name its words, as a list or as one text."""
+    seeds: int | None = None
+    """How many robots of each variant; by default as many as before, at first 10."""
+    seed: int | None = None
+    """Seed of the first robot; each further one has the next. By default as before, at first 0."""
+    block: int | None = None
+    """How many robots of a variant are one run, as a population (for the kinematic world); by
+    default as before, at first 1."""
+    processes: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    """How many runs go on at once on this machine; by default one for each core that this
+    process may use."""
+    ray: str | None = None
+    """The address of a Ray cluster that shall carry the runs out instead, or auto."""
+    gpus: float = 0.0
+    """Which part of a GPU each run gets on Ray."""
+    only: str | None = None
+    """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
+
+    report: bool = False
+    """Only report on what has ended."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Draw a run into its folder: the paper's figures 2 and 3, and errors of shadows and of MP."""
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    pdf: bool = False
+    """Also write each figure as a vector graphic."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Film a robot of a run at stages of its development, with what it predicts and learns.
+
+    Its world is made again, and its recorded actions happen again.
+
+    Raises:
+        ValueError: `decisions` is below 1 or too large.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    at: tuple[int, ...] = ()
+    """Decisions from which on to film; by default the beginning, the first focus on f3 and on f2,
+    and the end."""
+    decisions: int = N_DECISIONS
+    """How many decisions from each of them on."""
+    agent: int = 0
+    """Which robot of a population."""
+    out: Path | None = None
+    """The film: .mp4, or .gif for a small one; by default figures/replay.mp4 in the run folder."""
+
+    def __post_init__(self) -> None:
+        check_count("decisions", self.decisions)
+
+
+Options = Resume | Compare | Figures | Replay
+"""What any of these commands was told."""
+
+KINDS: dict[str, type[Options]] = {
+    "resume": Resume,
+    "compare": Compare,
+    "figures": Figures,
+    "replay": Replay,
+}
+"""The commands by name."""
+
+
+def parse(words: Sequence[str]) -> Options:
+    """Return what one of these commands was told; help and refusals end the program.
+
+    Args:
+        words: The command's name and its options.
+    """
+    name, *options = words
+    return tyro.cli(
+        KINDS[name],
+        prog=f"torch-iac {name}",
+        args=split_at_dashes(options)[0] if name == "compare" else options,
+        config=(tyro.conf.AvoidSubcommands,),
+    )
+
+
+def split_at_dashes(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return what stands before -- and what stands after it."""
+    words = list(words)
+    place = words.index("--") if "--" in words else len(words)
+    return words[:place], words[place + 1 :]

@@ -1,0 +1,49 @@
+"""Carries a command out, and ends the program where it must."""
+
+import logging
+from collections.abc import Sequence
+
+import gymnasium as gym
+
+from torch_iac.cli.commands import Compare, Figures, Options, Resume, split_at_dashes
+from torch_iac.cli.compare import compare
+from torch_iac.cli.exits import StoppedError, one_line
+from torch_iac.cli.options import Train
+from torch_iac.cli.parser_errors import leave
+from torch_iac.cli.replay import replay
+from torch_iac.cli.train import begin, resume
+
+
+def draw(asked: Figures) -> None:
+    """Carry `torch-iac figures` out."""
+    from torch_iac.analysis.figures import save_figures  # with matplotlib
+
+    for path in save_figures(asked.run_folder, pdf=asked.pdf):
+        print(path)  # noqa: T201 - the command's answer
+
+
+def run(asked: Train | Options, words: Sequence[str]) -> None:
+    """Carry a command out; what ends it early ends the program.
+
+    Args:
+        asked: What it was told.
+        words: What the user typed after `torch-iac`.
+    """
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    try:
+        if isinstance(asked, Train):
+            begin(asked, ["torch-iac", *words])
+        elif isinstance(asked, Compare):
+            compare(asked, split_at_dashes(words)[1])
+        elif isinstance(asked, Resume):
+            resume(asked)
+        elif isinstance(asked, Figures):
+            draw(asked)
+        else:
+            replay(asked)
+    except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
+        leave(2, one_line(error))
+    except StoppedError as stopped:
+        leave(128 + stopped.signal, str(stopped))
+    except KeyboardInterrupt as interrupt:
+        leave(130, str(interrupt) or "interrupted")

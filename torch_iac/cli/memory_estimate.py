@@ -1,0 +1,289 @@
+"""How much memory a run will need, estimated before it begins, and how much there is.
+
+Memory grows with the leaves of the region trees, and those with decisions. Tables double when they
+are full.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+
+import torch
+
+from torch_iac.config import IACConfig
+from torch_iac.experts.network import MLPExperts, NetworkExperts, NetworkTraining
+from torch_iac.experts.protocol import Experts
+from torch_iac.experts.stacked_networks import MLP, Training
+from torch_iac.internal.randomness import block_size
+from torch_iac.runs.buffer import decisions_per_part, row_bytes
+from torch_iac.space import SensorimotorSpace
+
+MARGIN = 1.2
+"""How much is taken from the system for what is needed: not every gap can be used again."""
+
+CUT_BYTES = 64
+"""Peak temporary bytes of the best cut, for each coordinate of each example: its rank and
+its value, and sums and gains in float64."""
+
+NODE_BYTES = 1500
+"""What a leaf, its ancestors and their exits take in the region tree, whose tables double too."""
+
+CANDIDATE_BYTES = 200
+"""Peak temporary bytes of routing a candidate: eight comparisons and their numbers."""
+
+DRAW_BYTES = 24
+"""Peak temporary bytes of a random number."""
+
+READ_BYTES = 64
+"""What summing up takes, at the end, for each row that was recorded."""
+
+GROUPS = (
+    ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    (
+        "/sys/fs/cgroup/memory",
+        "memory.limit_in_bytes",
+        "memory.usage_in_bytes",
+        "total_inactive_file",
+    ),
+)
+"""Where Linux says how much a group of processes may take and has taken, and how much of that it
+would give back; newer and older."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a run needs, in bytes.
+
+    Attributes:
+        tables: What the agents keep, where they are.
+        working: Their peak temporary bytes, there too.
+        recorded: The decisions that are not yet on disk, there too.
+        on_host: In the main memory, to write and to sum up what is recorded.
+    """
+
+    tables: int
+    working: int
+    recorded: int
+    on_host: int
+
+    @property
+    def on_device(self) -> int:
+        """All that is needed where the agents are."""
+        return int(MARGIN * (self.tables + self.working + self.recorded))
+
+
+@dataclass(frozen=True)
+class _Network:
+    """How large a network is.
+
+    Attributes:
+        n_weights: How many weights it has.
+        n_units: How many numbers its layers make; of any module, how many biases it has.
+    """
+
+    n_weights: int
+    n_units: int
+
+
+def check_memory(
+    space: SensorimotorSpace,
+    config: IACConfig,
+    n_agents: int,
+    n_decisions: int,
+    n_recorded: int,
+    device: torch.device,
+    world_bytes: int = 0,
+) -> None:
+    """Refuse a run that will not fit into memory; where free memory is not known, refuse none.
+
+    Args:
+        space: What the robots do, sense and predict.
+        config: The numbers of the algorithm.
+        n_agents: How many robots.
+        n_decisions: How many decisions each takes.
+        n_recorded: Of how many every decision is recorded.
+        device: Where the robots are.
+        world_bytes: What each robot's world takes in the main memory.
+
+    Raises:
+        ValueError: It will not fit; the message says what is needed and what is free.
+    """
+    need = memory_needed(space, config, n_agents, n_decisions, n_recorded)
+    needed = {"cpu": need.on_host + n_agents * world_bytes}
+    place = "cpu" if device.type == "cpu" else str(device)
+    needed[place] = needed.get(place, 0) + need.on_device
+    for place, n_bytes in needed.items():
+        free = free_memory(torch.device(place))
+        if free is not None and n_bytes > free:
+            raise ValueError(
+                f"a run must fit into memory: {n_agents:,} agents and {n_decisions:,} decisions "
+                f"need about {n_bytes / 1e9:.1f} GB on {place}, got {free / 1e9:.1f} GB free; "
+                "lower agents, steps or max_examples"
+            )
+
+
+def memory_needed(
+    space: SensorimotorSpace,
+    config: IACConfig,
+    n_agents: int,
+    n_decisions: int,
+    n_recorded: int | None = None,
+) -> Need:
+    """Return about how much memory a run needs; experts of an unknown kind count as nothing.
+
+    Args:
+        space: What the robots do, sense and predict.
+        config: The numbers of the algorithm.
+        n_agents: How many robots.
+        n_decisions: How many decisions each takes.
+        n_recorded: Of how many every decision is recorded; of none if not given.
+    """
+    dims = len(space.situation), len(space.outcomes)
+    capacity = 2 ** (_n_leaves(config, n_decisions) - 1).bit_length()  # rows double
+    drawn = _numbers_drawn(config, len(space.actions), n_agents)
+    # While the largest column doubles, its old half is there too.
+    doubling = (capacity // 2) * dims[0] * (config.max_examples + 1) * 4 if capacity > 1 else 0
+    n_rows = n_block = 0
+    if n_recorded:
+        n_rows = n_decisions * n_recorded
+        n_block = min(n_decisions, decisions_per_part(n_recorded)) * n_recorded
+    block = n_block * row_bytes(space, tuple(config.shadows))
+    leaves = capacity * _leaf_bytes(config, *dims)
+    return Need(
+        tables=n_agents * (leaves + _agent_bytes(config, dims[0])) + 4 * sum(drawn),
+        working=n_agents * max(doubling, *_working_bytes(config, space)) + DRAW_BYTES * max(drawn),
+        recorded=block,
+        # A part is written from a copy; in the end all that was recorded is read for the summary.
+        on_host=max(2 * block, n_rows * READ_BYTES),
+    )
+
+
+def free_memory(device: torch.device) -> int | None:
+    """Return how many bytes are free on a device; None where nobody says."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    known = [*_free_of_machine(), *_free_of_groups()] if device.type == "cpu" else []
+    return min(known, default=None)
+
+
+def _n_leaves(config: IACConfig, n_decisions: int) -> int:
+    """Return how many leaves an agent's tree is expected to have."""
+    if n_decisions <= config.max_examples:
+        return 1
+    # How full a leaf is on average; lopsided cuts leave small ones.
+    fill = min(0.7, round(0.3 + 4 / 3 * config.balance, 3))
+    return ceil(n_decisions / (fill * config.max_examples))
+
+
+def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
+    """Return what each leaf takes."""
+    examples = (situation_dim + outcome_dim) * (config.max_examples + 1) * 4
+    history = (config.delay + config.window + 1) * 8
+    networks = sum(
+        _network_bytes(_network(experts, situation_dim, outcome_dim))
+        for experts in (config.experts, *config.shadows.values())
+    )
+    return examples + history + networks + NODE_BYTES
+
+
+def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
+    """Return what each agent takes, however many leaves its tree has."""
+    n_bytes = (config.delay + config.window + 1) * 8 if "whole_history" in config.drive.needs else 0
+    for training in (config.meta, config.improvement):
+        if training is not None:
+            n_bytes += (situation_dim + 1) * training.memory * 4
+            n_bytes += _network_bytes(_mlp(training.hidden, situation_dim * training.bins, 1))
+    return n_bytes
+
+
+def _numbers_drawn(config: IACConfig, action_dim: int, n_agents: int) -> list[int]:
+    """Return how many random numbers each stream draws at once, for all agents."""
+    needed = [2 + config.n_candidates * action_dim]
+    for part in (config.experts, *config.shadows.values(), config.meta, config.improvement):
+        if isinstance(part, Training):
+            needed.append(_n_minibatches(part) * part.minibatch_size)
+    return [n_agents * n * block_size(n_agents, n) for n in needed]
+
+
+def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]:
+    """Yield the peak temporary bytes of each agent: to cut, to weigh candidates, to learn."""
+    dim, n_examples = len(space.situation), config.max_examples + 1
+    yield CUT_BYTES * dim * n_examples  # all agents' first cuts fall on the same decision
+    yield config.n_candidates * (3 * dim * 4 + CANDIDATE_BYTES)
+    for experts in (config.experts, *config.shadows.values()):
+        network = _network(experts, dim, len(space.outcomes))
+        if network is not None and isinstance(experts, NetworkTraining):
+            yield _training_bytes(network, experts, dim)
+    for training in (config.meta, config.improvement):
+        if training is not None:
+            n_inputs = dim * training.bins
+            network = _mlp(training.hidden, n_inputs, 1)
+            yield _training_bytes(network, training, dim + n_inputs)
+            yield config.n_candidates * 4 * (n_inputs + 2 * network.n_units)
+
+
+def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network | None:
+    """Return how large a network of a kind of experts is; None of those that are no networks."""
+    if isinstance(experts, MLPExperts):
+        return _mlp(experts.hidden, situation_dim, outcome_dim)
+    if isinstance(experts, NetworkExperts):
+        with torch.random.fork_rng(devices=[]):
+            parameters = list(experts.module(situation_dim, outcome_dim).parameters())
+        return _Network(
+            n_weights=sum(weights.numel() for weights in parameters),
+            n_units=sum(weights.numel() for weights in parameters if weights.ndim == 1),
+        )
+    return None
+
+
+def _mlp(hidden: tuple[int, ...], n_inputs: int, n_outputs: int) -> _Network:
+    """Return how large a multi-layer perceptron is, without making what may be far too large."""
+    sizes = MLP(hidden).sizes(n_inputs, n_outputs)
+    n_weights = sum((n_in + 1) * n_out for n_in, n_out in sizes)
+    return _Network(n_weights, sum(n_out for _, n_out in sizes))
+
+
+def _network_bytes(network: _Network | None) -> int:
+    """Return what a network takes: its weights, and twice as much that the optimiser remembers."""
+    return 0 if network is None else 3 * 4 * network.n_weights
+
+
+def _n_minibatches(training: Training) -> int:
+    """Return how many minibatches are picked at once, at most."""
+    if isinstance(training, NetworkTraining) and training.children == "fresh":
+        return max(training.minibatches, training.fresh_minibatches)
+    return training.minibatches
+
+
+def _training_bytes(network: _Network, training: Training, n_inputs: int) -> int:
+    """Return the peak temporary bytes of a network while it learns.
+
+    All minibatches of a decision are picked at once; each layer keeps what it made and its
+    gradient; weights, gradient and memory are copied, and copied again by a step.
+    """
+    picked = _n_minibatches(training) * training.minibatch_size * (8 + 4 * n_inputs)
+    layers = 4 * 4 * training.minibatch_size * network.n_units
+    return picked + layers + 8 * 4 * network.n_weights
+
+
+def _free_of_machine() -> Iterator[int]:
+    """Yield how much memory the machine has free, if it says so as Linux does."""
+    path = Path("/proc/meminfo")
+    if path.is_file():
+        lines = dict(line.split(":", 1) for line in path.read_text().splitlines())
+        yield int(lines["MemAvailable"].split()[0]) * 1024
+
+
+def _free_of_groups() -> Iterator[int]:
+    """Yield how much memory the limits of this process's groups leave free."""
+    path = Path("/proc/self/cgroup")
+    own = [line.split(":")[2] for line in path.read_text().splitlines()] if path.is_file() else []
+    for root, most, taken, idle in GROUPS:
+        for folder in {Path(root), *(Path(root) / name.strip("/") for name in own)}:
+            limit = folder / most
+            if limit.is_file() and (text := limit.read_text().strip()) != "max":
+                stat = dict(
+                    line.split() for line in (folder / "memory.stat").read_text().splitlines()
+                )
+                yield int(text) - int((folder / taken).read_text()) + int(stat.get(idle, 0))

@@ -1,0 +1,119 @@
+"""Mistyped names of commands and options, found without importing what has them.
+
+The parser of `torch-iac train` needs the engine, and with it PyTorch, which takes seconds to
+import. The names of its options are the fields that the engine's source declares, and source can be
+read without being run. A name that no source declares is surely mistyped; about any other, and
+about all values, the parser decides.
+"""
+
+import ast
+import re
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+DECLARING = (
+    "cli/options",
+    "config",
+    "drives/baselines",
+    "drives/choices",
+    "drives/curriculum",
+    "drives/learning_progress",
+    "drives/protocol",
+    "experts/knn",
+    "experts/network",
+    "experts/stacked_networks",
+    "meta_predictor",
+)
+"""The modules whose classes have the options of `torch-iac train` as fields."""
+
+NO_OPTIONS = ("Candidates", "Knowledge")
+"""Classes there whose fields are no options: what drives look at."""
+
+NAME = re.compile(r"--([a-z][\w.-]*)", re.IGNORECASE)
+"""An option, without what may follow an equals sign."""
+
+VALUE = re.compile(r"-?\d.*|-|[^-].*|", re.DOTALL)
+"""A word that is no option, such as a negative number."""
+
+PARSERS_OWN = re.compile(r"help|tyro-.+")
+"""Options that the parser adds."""
+
+N_SUGGESTIONS, LIKENESS = 3, 0.75
+"""How many names are suggested at most, and how like (1 is equal) what was typed they are."""
+
+
+def check_command(word: str, commands: Sequence[str]) -> None:
+    """Refuse a word that is no command.
+
+    Raises:
+        ValueError: It is none; the message says which there are, and which was perhaps meant.
+    """
+    if word not in commands:
+        near = get_close_matches(word, commands, 1)
+        perhaps = f"; perhaps you meant {near[0]}" if near else ""
+        raise ValueError(
+            f"the command must be one of {', '.join(commands)}, got {word}{perhaps} "
+            "(see torch-iac --help)"
+        )
+
+
+def check_options(words: Sequence[str]) -> None:
+    """Refuse options that `torch-iac train` has not, whatever else it is told.
+
+    Raises:
+        ValueError: There are such; the message says which were perhaps meant.
+    """
+    known = declared_names()
+    unknown = list(_unknown(words, known)) if known else []
+    if unknown:
+        typed = NAME.match(unknown[0])
+        near = get_close_matches(_plain(typed[1]), known, N_SUGGESTIONS, LIKENESS) if typed else []
+        perhaps = f"; perhaps you meant {', '.join(f'--{name}' for name in near)}" if near else ""
+        raise ValueError(
+            f"Unrecognized options: {', '.join(unknown)}{perhaps} (see torch-iac train --help)"
+        )
+
+
+def declared_names() -> set[str]:
+    """Return the fields of all classes of `DECLARING`, as options are written.
+
+    There are none where only compiled files are installed.
+    """
+    folder = Path(__file__).parents[1]
+    sources = [folder / f"{module}.py" for module in DECLARING]
+    trees = [ast.parse(path.read_bytes()) for path in sources if path.exists()]
+    return {name.replace("_", "-") for tree in trees for name in _fields(tree)}
+
+
+def _fields(module: ast.Module) -> Iterator[str]:
+    classes = [node for node in module.body if isinstance(node, ast.ClassDef)]
+    declaring = (owner for owner in classes if owner.name not in NO_OPTIONS)
+    for line in (line for owner in declaring for line in owner.body):
+        if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
+            yield line.target.id
+
+
+def _unknown(words: Sequence[str], known: set[str]) -> Iterator[str]:
+    """Yield unknown options, each with the values that follow it."""
+    is_unknown = False
+    for word in words:
+        if word == "--":
+            return
+        option = NAME.match(word)
+        if option:
+            is_unknown = not _is_known(_plain(option[1]), known)
+        elif not VALUE.fullmatch(word):
+            is_unknown = False
+        if is_unknown:
+            yield word
+
+
+def _plain(option: str) -> str:
+    """Return how an option is declared: without the part that it belongs to, and without a no."""
+    last = option.replace("_", "-").rpartition(".")[2]
+    return last.removeprefix("no-")
+
+
+def _is_known(name: str, known: set[str]) -> bool:
+    return name in known or name.isdigit() or bool(PARSERS_OWN.fullmatch(name))

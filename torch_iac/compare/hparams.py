@@ -1,0 +1,151 @@
+"""What TensorBoard's HParams page shows of a comparison: a row a run.
+
+The comparison's folder says which settings and measures there are, each run's folder what its are.
+They are in files of their own, so that they can be written anew.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.plugins.hparams.api_pb2 import (
+    DATA_TYPE_FLOAT64,
+    DATA_TYPE_STRING,
+    STATUS_SUCCESS,
+    Experiment,
+    HParamInfo,
+    MetricInfo,
+    MetricName,
+)
+from tensorboard.plugins.hparams.metadata import (
+    EXPERIMENT_TAG,
+    NULL_TENSOR,
+    SESSION_END_INFO_TAG,
+    SESSION_START_INFO_TAG,
+    create_summary_metadata,
+)
+from tensorboard.plugins.hparams.plugin_data_pb2 import (
+    HParamsPluginData,
+    SessionEndInfo,
+    SessionStartInfo,
+)
+from torch.utils.tensorboard import FileWriter
+
+from torch_iac.runs.reader import Run
+from torch_iac.runs.schema import EVENTS
+
+SUFFIX = ".hparams"
+"""How the names of these files end."""
+
+TAG = "measures/"
+"""How the tags of measures begin."""
+
+Settings = Mapping[str, str | float]
+"""What a run was told, by name."""
+
+
+def write_experiment(folder: Path, settings: Sequence[Settings], labels: Mapping[str, str]) -> None:
+    """Say which settings and measures there are.
+
+    Args:
+        folder: The comparison's folder.
+        settings: The settings of each run.
+        labels: What each measure is, in words.
+    """
+    names = list(dict.fromkeys(name for of in settings for name in of))
+    hparams = [_setting(name, [of[name] for of in settings if name in of]) for name in names]
+    metrics = [
+        MetricInfo(name=MetricName(tag=TAG + name), display_name=name, description=label)
+        for name, label in labels.items()
+    ]
+    experiment = Experiment(hparam_infos=hparams, metric_infos=metrics)
+    _write(folder, [(_tagged(EXPERIMENT_TAG, HParamsPluginData(experiment=experiment)), 0)])
+
+
+def write_session(
+    folder: Path, settings: Settings, measures: Mapping[str, float], n_decisions: int
+) -> None:
+    """Say what a run's settings and measures are.
+
+    Args:
+        folder: The run's folder.
+        settings: Its settings.
+        measures: Its measures, under their names; NaN for those that it has not.
+        n_decisions: How many decisions it took.
+    """
+    values = [
+        Summary.Value(tag=TAG + name, simple_value=value)
+        for name, value in measures.items()
+        if np.isfinite(value)
+    ]
+    start, end = SessionStartInfo(), SessionEndInfo(status=STATUS_SUCCESS)
+    for name, value in settings.items():
+        kind = "string_value" if isinstance(value, str) else "number_value"
+        setattr(start.hparams[name], kind, value)
+    content = [
+        (_tagged(SESSION_START_INFO_TAG, HParamsPluginData(session_start_info=start)), 0),
+        (Summary(value=values), n_decisions),
+        (_tagged(SESSION_END_INFO_TAG, HParamsPluginData(session_end_info=end)), n_decisions),
+    ]
+    _write(folder, content)
+
+
+def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
+    """Return of the numbers in each run's config those that are not the same in all runs."""
+    settings = [_settings(run) for run in runs]
+    kept: dict[str, Sequence[str | float]] = {}
+    for name in dict.fromkeys(name for of in settings for name in of):
+        values = [of.get(name) for of in settings]
+        if any(value != values[0] for value in values):
+            numbers = [float(value) for value in values if isinstance(value, (int, float))]
+            texts = ["none" if value is None else str(value) for value in values]
+            kept[name] = numbers if len(numbers) == len(values) else texts
+    return [{name: of[place] for name, of in kept.items()} for place in range(len(runs))]
+
+
+def _settings(run: Run) -> dict[str, Any]:
+    """Return the config's numbers, each under its whole name."""
+    config = run.config
+    parts = {name: config.get(name) for name in ("preset", "steps", "device")}
+    world = config.get("world", {})
+    parts |= {"world": world.get("name"), "world_options": world.get("options", {})}
+    return _flat({**parts, **config.get("iac", {})})
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    leaves: dict[str, Any] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            leaves |= _flat(value, f"{prefix}{name}.")
+        else:
+            leaves[f"{prefix}{name}"] = value
+    return leaves
+
+
+def _setting(name: str, values: Sequence[str | float]) -> HParamInfo:
+    """Return what kind of setting it is, and which values it takes."""
+    if isinstance(values[0], str):
+        info = HParamInfo(name=name, type=DATA_TYPE_STRING)
+        info.domain_discrete.extend(dict.fromkeys(map(str, values)))
+        return info
+    info = HParamInfo(name=name, type=DATA_TYPE_FLOAT64)
+    numbers = [float(value) for value in values]
+    info.domain_interval.min_value, info.domain_interval.max_value = min(numbers), max(numbers)
+    return info
+
+
+def _tagged(tag: str, data: HParamsPluginData) -> Summary:
+    about = create_summary_metadata(data)
+    return Summary(value=[Summary.Value(tag=tag, metadata=about, tensor=NULL_TENSOR)])
+
+
+def _write(folder: Path, content: Sequence[tuple[Summary, int]]) -> None:
+    """Write summaries, each at a step, in place of those that an earlier report wrote."""
+    for path in folder.glob(EVENTS + SUFFIX):
+        path.unlink()
+    writer = FileWriter(str(folder), filename_suffix=SUFFIX)
+    for summary, step in content:
+        writer.add_summary(summary, step)
+    writer.close()

@@ -1,0 +1,365 @@
+"""Variants times seeds: the runs of a comparison, where each is kept, and how far it is.
+
+A comparison is a folder. Its plan says which variants, and which seeds; a run of a variant is what
+`torch-iac train` makes of the comparison's words, the variant's and the seeds.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shlex import join, split
+from tempfile import NamedTemporaryFile
+from typing import Any, Literal, Self
+
+from torch_iac.internal.files import dump_json, parse_json, sync, sync_names
+from torch_iac.runs.reader import Run, load_run
+from torch_iac.runs.schema import CONFIG, SUMMARY
+from torch_iac.runs.summary import N_AGENTS_LISTED
+
+PLAN = "comparison.json"
+"""What a comparison's folder keeps its plan in."""
+
+FIGURES = "figures"
+"""Where it keeps its pictures; no variant can be called so."""
+
+OWN_WORDS = ("--seed", "--agents", "--out")
+"""What a comparison itself says to each of its runs."""
+
+MOST_SEEDS = 100_000
+"""With more, even the list of runs would be too long."""
+
+NAME = re.compile(r"\w[\w.+=-]*")
+"""What a variant, and so a folder, can be called."""
+
+State = Literal["done", "failed", "begun", "open"]
+"""How far a run is: at its end; stopped by an error; somewhere; nowhere."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What is compared.
+
+    Attributes:
+        name: What it is called.
+        words: The options of `torch-iac train` in which it differs.
+
+    Raises:
+        ValueError: The name cannot be a folder's, or a word is for the comparison to say.
+    """
+
+    name: str
+    words: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name) or self.name == FIGURES:
+            raise ValueError(
+                f"a variant's name must be letters, digits and _.+=-, and not {FIGURES}, "
+                f"got {self.name!r}"
+            )
+        check_words(self.words, f"variant {self.name}")
+
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """Return the variant that a text such as `mlp: --experts mlp` describes.
+
+        Raises:
+            ValueError: It is not written NAME: WORDS, or no variant can be made of it.
+        """
+        name, colon, words = text.partition(":")
+        if not colon:
+            raise ValueError(f"a variant must be written NAME: WORDS, got {text}")
+        return cls(name.strip(), _split(words, f"variant {name.strip()}"))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a comparison: a variant with a seed, or with a block of them.
+
+    Attributes:
+        variant: The variant's name.
+        seeds: The seed of each of its robots.
+        folder: The run folder.
+        words: The whole command that makes it.
+    """
+
+    variant: str
+    seeds: tuple[int, ...]
+    folder: Path
+    words: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """What it is called in its comparison."""
+        return f"{self.variant}/{self.folder.name}"
+
+    @property
+    def log(self) -> Path:
+        """Where it writes what it has to say."""
+        return self.folder.with_name(f"{self.folder.name}.log")
+
+    @property
+    def state(self) -> State:
+        """How far it is."""
+        if (self.folder / SUMMARY).exists():
+            return "done"
+        if self._failure.exists():
+            return "failed"
+        return "begun" if (self.folder / CONFIG).exists() else "open"
+
+    @property
+    def reason(self) -> str:
+        """Why it failed.
+
+        Raises:
+            FileNotFoundError: It has not.
+        """
+        return self._failure.read_text(encoding="utf-8").strip()
+
+    @property
+    def n_decisions(self) -> int:
+        """How many decisions all its robots together have taken so far, as far as is on disk."""
+        try:
+            return load_run(self.folder).n_decisions * len(self.seeds)
+        except (OSError, ValueError):  # not begun, or just being written
+            return 0
+
+    def fail(self, reason: str) -> None:
+        """Note why it failed."""
+        self._failure.write_text(" ".join(reason.split()) + "\n", encoding="utf-8")
+
+    def begin(self) -> None:
+        """Forget an earlier failure."""
+        self._failure.unlink(missing_ok=True)
+
+    def check(self) -> None:
+        """Refuse a folder that holds another run.
+
+        Raises:
+            ValueError: It does; the message says which.
+        """
+        if not (self.folder / CONFIG).is_file():
+            return
+        found = list(map(str, load_run(self.folder).config.get("command", ())))
+        if _without_place(found) != _without_place(self.words):
+            raise ValueError(
+                f"{self.folder} must hold the run of `{join(self.words)}`, got `{join(found)}`"
+            )
+
+    @property
+    def _failure(self) -> Path:
+        return self.folder.with_name(f"{self.folder.name}.failed.txt")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Variants times seeds, in one folder.
+
+    Attributes:
+        folder: Where it is.
+        variants: What is compared; the first is what others are compared with.
+        words: Options of `torch-iac train` for all.
+        n_seeds: How many robots of each variant.
+        seed: The seed of the first; each further one has the next.
+        block: How many of them, at most, are the population of one run.
+
+    Raises:
+        ValueError: There are no variants, two have one name, a number is out of its range, or a
+            word is for the comparison to say.
+    """
+
+    folder: Path
+    variants: tuple[Variant, ...]
+    words: tuple[str, ...] = ()
+    n_seeds: int = 10
+    seed: int = 0
+    block: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.variants:
+            raise ValueError("a comparison must have variants (--variant or --variants), got none")
+        for name in (names := [variant.name for variant in self.variants]):
+            if names.count(name) > 1:
+                raise ValueError(f"a variant's name must stand once, got {name} again")
+        if not 1 <= self.n_seeds <= MOST_SEEDS:
+            raise ValueError(f"seeds must lie in [1, {MOST_SEEDS}], got {self.n_seeds}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be at least 0, got {self.seed}")
+        if not 1 <= self.block <= N_AGENTS_LISTED:
+            raise ValueError(
+                f"block must lie in [1, {N_AGENTS_LISTED}], the robots that a run's summary lists, "
+                f"got {self.block}"
+            )
+        check_words(self.words, "a comparison")
+
+    def jobs(self) -> list[Job]:
+        """Return every run, seed by seed, so that variants advance together."""
+        end = self.seed + self.n_seeds
+        blocks = [
+            tuple(range(first, min(first + self.block, end)))
+            for first in range(self.seed, end, self.block)
+        ]
+        return [self._job(variant, seeds) for seeds in blocks for variant in self.variants]
+
+    def _job(self, variant: Variant, seeds: tuple[int, ...]) -> Job:
+        first, last = seeds[0], seeds[-1]
+        place = f"seed-{first:03d}" if self.block == 1 else f"seeds-{first:03d}-{last:03d}"
+        folder = self.folder / variant.name / place
+        own = (f"--seed={first}", f"--agents={len(seeds)}", f"--out={folder}")
+        words = ("torch-iac", "train", *self.words, *variant.words, *own)
+        return Job(variant.name, seeds, folder, words)
+
+    def grown(
+        self,
+        variants: Sequence[Variant] = (),
+        words: Sequence[str] = (),
+        n_seeds: int | None = None,
+        seed: int | None = None,
+        block: int | None = None,
+    ) -> Self:
+        """Return the comparison with more variants, or more or other seeds.
+
+        Args:
+            variants: Those to add; what is known already may be among them.
+            words: Options for all, the same as before; none for the same.
+            n_seeds: How many robots of each variant; as many as before if not given.
+            seed: The seed of the first; as before if not given.
+            block: The population of one run, the same as before; None for the same.
+
+        Raises:
+            ValueError: Something differs of which there are runs already.
+        """
+        known = {variant.name: variant for variant in self.variants}
+        for variant in variants:
+            before = known.setdefault(variant.name, variant)
+            self._check_same(f"the words of {variant.name}", before.words, variant.words)
+        self._check_same("the words for all", self.words, tuple(words) or self.words)
+        self._check_same("block", self.block, self.block if block is None else block)
+        return replace(
+            self,
+            variants=tuple(known.values()),
+            n_seeds=self.n_seeds if n_seeds is None else n_seeds,
+            seed=self.seed if seed is None else seed,
+        )
+
+    def _check_same(self, what: str, before: Any, now: Any) -> None:
+        if before != now:
+            texts = [join(of) if isinstance(of, tuple) else of for of in (before, now)]
+            raise ValueError(
+                f"{what} must stay `{texts[0]}`, as {self.folder} began, got `{texts[1]}`"
+            )
+
+    def save(self) -> None:
+        """Write the plan; several processes may do so at once."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        content = {
+            "variants": {variant.name: list(variant.words) for variant in self.variants},
+            "words": list(self.words),
+            "seeds": self.n_seeds,
+            "seed": self.seed,
+            "block": self.block,
+        }
+        with NamedTemporaryFile(dir=self.folder, prefix=f".{PLAN}.", delete=False) as file:
+            file.write(dump_json(content))
+        sync(Path(file.name))
+        Path(file.name).replace(self.folder / PLAN)
+        sync_names(self.folder)
+
+
+def load_comparison(folder: Path | str) -> Comparison:
+    """Return the comparison that a folder holds.
+
+    Raises:
+        FileNotFoundError: It holds none.
+        ValueError: Its plan cannot be read.
+    """
+    folder = Path(folder)
+    path = folder / PLAN
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no comparison: there is no {PLAN} in it")
+    try:
+        plan = parse_json(path.read_bytes())
+        numbers = [int(plan[name]) for name in ("seeds", "seed", "block")]
+        return Comparison(folder, _variants(plan["variants"]), tuple(plan["words"]), *numbers)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+
+
+def read_variants(path: Path) -> tuple[Variant, ...]:
+    """Return the variants in a JSON file: under each name, words as a list or as one text.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It holds something else.
+    """
+    try:
+        return _variants(parse_json(path.read_bytes()))
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+
+
+def ended_runs(comparison: Comparison) -> dict[str, list[Run]]:
+    """Return the runs of each variant that went to their end, by seed."""
+    runs: dict[str, list[Run]] = {variant.name: [] for variant in comparison.variants}
+    for job in comparison.jobs():
+        if job.state == "done":
+            runs[job.variant].append(load_run(job.folder))
+    return runs
+
+
+def part_of(jobs: Sequence[Job], part: str) -> list[Job]:
+    """Return every N-th run, from the I-th on, for a part written I/N.
+
+    Raises:
+        ValueError: It is not written so, or I is not in [1, N].
+    """
+    found = re.fullmatch(r"(\d+)/(\d+)", part)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise ValueError(f"only must be written I/N, with I in [1, N], got {part}")
+    return list(jobs[int(found[1]) - 1 :: int(found[2])])
+
+
+def tally_states(jobs: Sequence[Job]) -> str:
+    """Return in words how many runs are how far."""
+    words = {"done": "done", "failed": "failed", "begun": "half done", "open": "not begun"}
+    states = [job.state for job in jobs]
+    return ", ".join(f"{states.count(s)} {w}" for s, w in words.items() if s in states)
+
+
+def check_words(words: Sequence[str], whose: str) -> None:
+    """Refuse words that a comparison itself says to each of its runs.
+
+    Raises:
+        ValueError: One is among them.
+    """
+    for word in words:
+        if word.partition("=")[0] in OWN_WORDS:
+            raise ValueError(
+                f"{whose} must leave {', '.join(OWN_WORDS)} to torch-iac compare, got {word}"
+            )
+
+
+def _variants(content: Any) -> tuple[Variant, ...]:
+    """Return the variants that JSON describes."""
+    if not isinstance(content, Mapping):
+        raise ValueError(f"variants must be names, each with its words, got {str(content)[:80]}")
+    variants = []
+    for name, words in content.items():
+        if isinstance(words, str):
+            words = _split(words, f"variant {name}")
+        if not isinstance(words, Sequence) or not all(isinstance(word, str) for word in words):
+            raise ValueError(f"the words of {name} must be a list of texts, got {str(words)[:80]}")
+        variants.append(Variant(name, tuple(words)))
+    return tuple(variants)
+
+
+def _split(text: str, whose: str) -> tuple[str, ...]:
+    try:
+        return tuple(split(text))
+    except ValueError as error:  # such as a quotation that does not end
+        raise ValueError(f"the words of {whose} cannot be read ({error}): {text.strip()}") from None
+
+
+def _without_place(words: Sequence[str]) -> list[str]:
+    """Return a command without its folder, which may be called from elsewhere."""
+    return [word for word in words if not word.startswith("--out=")]

@@ -1,0 +1,172 @@
+"""What a comparison's runs tell: each robot's measures, and how variants differ in them."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+
+from torch_iac.analysis.bootstrap import Estimate, difference, mean, probability_larger
+from torch_iac.compare.plan import Comparison
+from torch_iac.runs.reader import Run
+from torch_iac.runs.schema import MAIN, shadow_error
+from torch_iac.runs.summary import SETTLING
+from torch_iac.toy_room import BETTER_SHARES, FOCUS_SHARES
+
+Better = Literal["lower", "higher"]
+"""Which values of a measure are better."""
+
+Row = dict[str, Any]
+"""What is known of a robot, by column."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Something that is known of each robot.
+
+    Attributes:
+        name: Its column.
+        title: What it is, in a few words.
+        label: What it is exactly.
+        better: Which values are better; None if neither.
+        path: Where a summary has it, under each robot.
+    """
+
+    name: str
+    title: str
+    label: str
+    better: Better | None
+    path: tuple[str, ...]
+
+    def of(self, agent: Mapping[str, Any]) -> float:
+        """Return it for a robot of a summary; NaN if it has none."""
+        found: Any = agent
+        for name in self.path:
+            found = (found or {}).get(name)
+        return math.nan if found is None else float(found)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How two variants differ in a measure, over the seeds that both have.
+
+    Attributes:
+        measure: Which measure.
+        one: The name of a variant.
+        other: That of another.
+        by: How much larger the mean of the one is.
+        improvement: How probably a robot of the one is better than one of the other; None if
+            neither direction is better.
+    """
+
+    measure: Measure
+    one: str
+    other: str
+    by: Estimate
+    improvement: Estimate | None
+
+
+def measures_of(runs: Sequence[Run]) -> list[Measure]:
+    """Return what can be measured of each robot of some runs."""
+    zones = _names(run.zone_names for run in runs)
+    shadows = _names(run.shadow_names for run in runs)
+    settled = f"after the first {SETTLING:,} decisions"
+    return [
+        _late_error("error", "error", "errors", MAIN, "mean"),
+        *(
+            _late_error(f"error/{zone}", f"error in {zone}", "late_zone_errors", zone)
+            for zone in zones
+        ),
+        *(
+            _late_error(shadow_error(name), f"error of shadow {name}", "errors", name, "mean")
+            for name in shadows
+        ),
+        *(
+            Measure(
+                f"share/{zone}",
+                title := f"share of time in {zone}",
+                f"{title} {settled}",
+                BETTER_SHARES.get(zone),
+                ("settled_zone_shares", zone),
+            )
+            for zone in zones
+        ),
+        *(
+            Measure(
+                f"focus/{zone}",
+                title := f"focus on {zone}",
+                f"first decision of the {title}",
+                "lower",
+                ("focus", zone),
+            )
+            for zone in FOCUS_SHARES
+            if zone in zones
+        ),
+        Measure("n_regions", "regions", "number of regions", None, ("n_regions",)),
+    ]
+
+
+def _late_error(name: str, title: str, *path: str) -> Measure:
+    label = f"{title} in the last {SETTLING:,} decisions"
+    return Measure(name, title, label, "lower", path)
+
+
+def measure_rows(
+    comparison: Comparison, runs: Mapping[str, Sequence[Run]], measures: Sequence[Measure]
+) -> list[Row]:
+    """Return one row a robot: its variant, its seed, its run and each measure.
+
+    Args:
+        comparison: Whose runs they are.
+        runs: The ended runs of each variant, by its name.
+        measures: What is known of each robot; NaN where it has none.
+    """
+    return [
+        {
+            "variant": variant,
+            "seed": agent["seed"],
+            "run": str(run.folder.relative_to(comparison.folder)),
+            "n_decisions": run.summary["n_decisions"],
+            "run_seconds": run.summary["seconds"],
+            **{measure.name: measure.of(agent) for measure in measures},
+        }
+        for variant, of in runs.items()
+        for run in of
+        for agent in run.summary["agents"]
+    ]
+
+
+def differences_of(
+    rows: Sequence[Row], measures: Sequence[Measure], variants: Sequence[str]
+) -> list[Difference]:
+    """Return how each two variants differ in each measure."""
+    pairs = list(combinations(variants, 2))
+    return [_difference(rows, measure, *pair) for measure in measures for pair in pairs]
+
+
+def mean_of(rows: Sequence[Row], measure: Measure) -> Estimate:
+    """Return the mean of a measure over the robots that have it."""
+    values = np.array([row[measure.name] for row in rows], dtype=np.float64)
+    return mean(values[np.isfinite(values)])
+
+
+def _difference(rows: Sequence[Row], measure: Measure, one: str, other: str) -> Difference:
+    of_one, of_other = (_by_seed(rows, measure, variant) for variant in (one, other))
+    seeds = sorted(of_one.keys() & of_other.keys())
+    mine, theirs = (np.array([of[seed] for seed in seeds]) for of in (of_one, of_other))
+    better = {"higher": (mine, theirs), "lower": (theirs, mine)}
+    improvement = probability_larger(*better[measure.better]) if measure.better else None
+    return Difference(measure, one, other, difference(mine, theirs), improvement)
+
+
+def _by_seed(rows: Sequence[Row], measure: Measure, variant: str) -> dict[int, float]:
+    """Return the known values of a variant's robots."""
+    mine = {row["seed"]: row[measure.name] for row in rows if row["variant"] == variant}
+    return {seed: value for seed, value in mine.items() if not math.isnan(value)}
+
+
+def _names(groups: Iterable[Iterable[str]]) -> list[str]:
+    """Return the names in some groups, each once, in order of appearance."""
+    return list(dict.fromkeys(name for group in groups for name in group))

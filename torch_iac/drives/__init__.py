@@ -1,0 +1,1 @@
+"""What candidate actions are worth, and which is taken."""

@@ -1,0 +1,1 @@
+"""What predicts in each region: nearest neighbours and networks."""

@@ -1,0 +1,1 @@
+"""Tools that all rooms use: state, randomness, scaling, checks, files."""

@@ -1,0 +1,143 @@
+"""The state of an object: all that its future depends on, as flat named tensors on the CPU."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+State = dict[str, Tensor]
+"""Tensors by name; parts of parts stand after a slash, as in `tree/parent`."""
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """What can be saved, and goes on from what was saved bit for bit."""
+
+    def state(self) -> State:
+        """Return a copy of all that the future depends on."""
+
+    def load_state(self, state: State) -> None:
+        """Go on from what `state` returned; the object was made with the same arguments."""
+
+
+class Stateful:
+    """Saves and loads the attributes that its class names; a mixin.
+
+    Such an attribute is a tensor, a whole number that is not negative, anything `Resumable`, a
+    mapping of these by name, or None, which has no state. A leading underscore is left out of its
+    name.
+
+    Attributes:
+        saved: The attributes that are kept as they are.
+        tables: The columns that grow, under the attribute that says how many of their rows are
+            in use. Only these rows are kept.
+    """
+
+    saved: ClassVar[tuple[str, ...]] = ()
+    tables: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+
+    def state(self) -> State:
+        """Return a copy of all that the future depends on.
+
+        Raises:
+            TypeError: A part cannot be saved.
+        """
+        state: State = {}
+        for name in (*self.tables, *self.saved):
+            state |= _collect(name.lstrip("_"), getattr(self, name))
+        for count, columns in self.tables.items():
+            for name in columns:
+                state |= _collect(name.lstrip("_"), getattr(self, name)[: getattr(self, count)])
+        return state
+
+    def load_state(self, state: State) -> None:
+        """Go on from what `state` returned; the object was made with the same arguments.
+
+        Raises:
+            ValueError: A tensor is missing, has another type or shape, or is not known. The object
+                is then of no use any more.
+        """
+        rest = dict(state)
+        for name in (*self.tables, *self.saved):
+            setattr(self, name, _restored(name.lstrip("_"), getattr(self, name), rest))
+        for count, columns in self.tables.items():
+            for name in columns:
+                column = getattr(self, name)
+                wanted = column.new_empty((getattr(self, count), *column.shape[1:]), device="meta")
+                loaded = _taken(name.lstrip("_"), wanted, rest)
+                setattr(self, name, loaded.to(column.device, copy=True))
+        for name in rest:
+            raise ValueError(f"{name} must not be in the state, which has no place for it")
+
+
+def _collect(name: str, part: Any) -> State:
+    """Return the state of one attribute, under its name."""
+    if part is None:
+        return {}
+    if isinstance(part, Tensor):
+        return {name: part.detach().to("cpu", copy=True).contiguous()}
+    if isinstance(part, int):
+        return {name: torch.tensor(part)}
+    if isinstance(part, Mapping):
+        parts = (_collect(f"{name}/{key}", value) for key, value in part.items())
+        return {key: tensor for state in parts for key, tensor in state.items()}
+    if isinstance(part, Resumable):
+        return {f"{name}/{key}": tensor for key, tensor in part.state().items()}
+    raise TypeError(
+        f"{name} must have the methods state and load_state to be saved, "
+        f"got {type(part).__name__} without"
+    )
+
+
+def _restored(name: str, part: Any, rest: State) -> Any:
+    """Return what an attribute shall be, and take its state from what is left of the whole."""
+    if isinstance(part, Tensor):
+        return _taken(name, part, rest).to(part.device, copy=True)
+    if isinstance(part, int):
+        number = int(_taken(name, torch.tensor(part), rest))
+        if number < 0:
+            raise ValueError(f"{name} must be at least 0, got {number}")
+        return number
+    if isinstance(part, Mapping):
+        for key in sorted(part, key=len, reverse=True):  # a name may begin with another one
+            _restored(f"{name}/{key}", part[key], rest)
+    elif part is not None:
+        names = [key for key in rest if key.startswith(f"{name}/")]
+        try:
+            part.load_state({key.removeprefix(f"{name}/"): rest.pop(key) for key in names})
+        except ValueError as error:
+            raise ValueError(f"{name}/{error}") from None
+    return part
+
+
+def _taken(name: str, wanted: Tensor, rest: State) -> Tensor:
+    """Take a tensor from the state, of the type and the shape that is wanted."""
+    if name not in rest:
+        raise ValueError(f"{name} must be in the state, got none")
+    tensor = rest.pop(name)
+    if tensor.dtype != wanted.dtype or tensor.shape != wanted.shape:
+        raise ValueError(
+            f"{name} must be {wanted.dtype} of shape {tuple(wanted.shape)}, "
+            f"got {tensor.dtype} of shape {tuple(tensor.shape)}"
+        )
+    return tensor
+
+
+def reserve(column: Tensor, n_rows: int, fill: float | None = None) -> Tensor:
+    """Return the column itself if it has `n_rows` rows, else a copy of at least twice its length.
+
+    Args:
+        column: Shape `(capacity, ...)`.
+        n_rows: How many rows are needed.
+        fill: What the new rows hold. None leaves them unwritten, for columns whose rows are written
+            before they are read: an operating system gives memory only to what has been written.
+    """
+    capacity = column.shape[0]
+    if n_rows <= capacity:
+        return column
+    grown = column.new_empty((max(n_rows, 2 * capacity), *column.shape[1:]))
+    grown[:capacity] = column
+    if fill is not None:
+        grown[capacity:] = fill
+    return grown

@@ -1,0 +1,97 @@
+"""What the engine returns: a step, its shadows, a summary of the regions, their genealogy."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class ShadowStep:
+    """What experts that only look on made of a decision.
+
+    Attributes:
+        name: Their name in the config.
+        predictions: Shape `(A, K)`, in raw units.
+        errors: Shape `(A,)`, float64, in scaled units.
+    """
+
+    name: str
+    predictions: Tensor
+    errors: Tensor
+
+
+@dataclass(frozen=True)
+class Step:
+    """One decision of every agent and what came of it; raw units unless said otherwise.
+
+    Attributes:
+        number: Which decision, from 0.
+        actions: Shape `(A, action_dim)`.
+        sensors: Shape `(A, sensor_dim)`, before the action.
+        outcomes: Shape `(A, K)`, what the predicted sensors read after the action.
+        predictions: Shape `(A, K)`, made before learning from the outcome.
+        errors: Shape `(A,)`, float64, absolute or squared as the config says, in scaled units.
+        expected_errors: Shape `(A,)`, what MP expected, in scaled units; None without MP.
+        regions: Shape `(A,)`, the region whose expert predicted, before any split.
+        progress: Shape `(A,)`, float64, of that region when the action was chosen, in scaled units.
+        random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
+        shadows: What the other experts made of it, in the config's order.
+    """
+
+    number: int
+    actions: Tensor
+    sensors: Tensor
+    outcomes: Tensor
+    predictions: Tensor
+    errors: Tensor
+    expected_errors: Tensor | None
+    regions: Tensor
+    progress: Tensor
+    random_actions: Tensor
+    shadows: tuple[ShadowStep, ...]
+
+
+@dataclass(frozen=True)
+class RegionSummary:
+    """The present leaves, by agent, then region; columns of shape `(leaves,)`, on the CPU.
+
+    Attributes:
+        agent: Place of the agent in the population.
+        region: The region's number within its agent.
+        progress: Its last learning progress, in scaled units.
+        mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
+        n_examples: How many examples it holds.
+    """
+
+    agent: Tensor
+    region: Tensor
+    progress: Tensor
+    mean_error: Tensor
+    n_examples: Tensor
+
+
+@dataclass(frozen=True)
+class Genealogy:
+    """Every region ever made, by agent, then region; columns of shape `(regions,)`, on the CPU.
+
+    Attributes:
+        agent: Place of the agent in the population.
+        region: The region's number within its agent.
+        parent: The region it came from; `NONE` for a root.
+        depth: How many cuts separate it from its root.
+        born_step: The decision that made it.
+        split_step: The decision that split it; `NONE` for a leaf.
+        cut_dimension: Which dimension of the situation it was cut along; `NONE` for a leaf.
+        cut_value: Where, in the unit cube; NaN for a leaf.
+        n_examples: How many examples it holds, or held when it split.
+    """
+
+    agent: Tensor
+    region: Tensor
+    parent: Tensor
+    depth: Tensor
+    born_step: Tensor
+    split_step: Tensor
+    cut_dimension: Tensor
+    cut_value: Tensor
+    n_examples: Tensor

@@ -1,0 +1,113 @@
+"""What a run folder holds: the names of files, columns and rows.
+
+Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regions of an agent, `P`
+points of a curve.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from torch_iac.records import Genealogy
+from torch_iac.regions.tree import NONE
+from torch_iac.space import Dimension, SensorimotorSpace
+
+MAIN = "main"
+"""What the experts that the robot acts on are called beside their shadows."""
+
+RESERVED = (MAIN, "mean", "expected")
+"""What no shadow can be called: errors of these names are others'."""
+
+CONFIG = "config.json"
+STEPS = "steps"
+WINDOWS = "windows"
+REGIONS = "regions.parquet"
+SUMMARY = "summary.json"
+CHECKPOINTS = "checkpoints"
+EVENTS = "events.out.tfevents.*"
+"""What the files and folders in a run folder are called; the last are TensorBoard's."""
+
+WINDOW = 250
+"""How many decisions a window of time holds, if nobody says otherwise; and the windows in which
+runs keep what all their agents did."""
+
+
+def region_table(genealogy: Genealogy, space: SensorimotorSpace) -> pa.Table:
+    """Return the rows of `regions.parquet`: cuts by name and in raw units, null for leaves."""
+    cut = genealogy.cut_dimension.numpy()
+    is_leaf = cut == NONE
+    low = np.array([dimension.low for dimension in space.situation])[cut]
+    high = np.array([dimension.high for dimension in space.situation])[cut]
+    value = low + genealogy.cut_value.double().numpy() * (high - low)
+    name = np.array(space.situation_names, dtype=object)[cut]
+    return pa.table(
+        {
+            "agent": pa.array(genealogy.agent.numpy(), pa.int32()),
+            "region": pa.array(genealogy.region.numpy(), pa.int32()),
+            "parent": pa.array(genealogy.parent.numpy(), pa.int32()),
+            "depth": pa.array(genealogy.depth.numpy(), pa.int32()),
+            "born_step": pa.array(genealogy.born_step.numpy(), pa.int64()),
+            "split_step": pa.array(genealogy.split_step.numpy(), pa.int64()),
+            "cut_dimension": pa.array(name, pa.string(), mask=is_leaf),
+            "cut_value": pa.array(value, pa.float64(), mask=is_leaf),
+            "n_examples": pa.array(genealogy.n_examples.numpy(), pa.int32()),
+        }
+    )
+
+
+def column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
+    """Return the columns that each field of a step fills, in the order of the file."""
+
+    def each(kind: str, dimensions: Sequence[Dimension]) -> list[str]:
+        return [f"{kind}/{dimension.name}" for dimension in dimensions]
+
+    return {
+        "random_actions": ["random_action"],
+        "actions": each("action", space.actions),
+        "sensors": each("sensor", space.sensors),
+        "outcomes": each("outcome", space.outcomes),
+        "predictions": each("prediction", space.outcomes),
+        "errors": ["error"],
+        "expected_errors": ["expected_error"],
+        "regions": ["region"],
+        "progress": ["progress"],
+    }
+
+
+def shadow_names(space: SensorimotorSpace, shadows: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns that the predictions and the errors of each shadow fill, in order."""
+    names = {}
+    for shadow in shadows:
+        predictions = f"shadow/{shadow}/prediction"
+        names[predictions] = [f"{predictions}/{outcome.name}" for outcome in space.outcomes]
+        names[shadow_error(shadow)] = [shadow_error(shadow)]
+    return names
+
+
+def part_path(folder: Path, number: int, kind: str = STEPS) -> Path:
+    """Return where a run folder keeps a part of its `STEPS` or `WINDOWS`; parts count from 0."""
+    return folder / kind / f"part-{number:05d}.parquet"
+
+
+def shadow_error(name: str) -> str:
+    """Return the column that holds the errors of a shadow."""
+    return f"shadow/{name}/error"
+
+
+def tallied_fields(shadows: Sequence[str]) -> list[str]:
+    """Return the columns of the steps that windows sum up, those of the shadows last."""
+    return ["error", "expected_error", "progress", *map(shadow_error, shadows)]
+
+
+def tally_columns(columns: Sequence[str], zone_names: Sequence[str]) -> list[list[str]]:
+    """Return how a file calls the counts, then the sums of each column, zone by zone.
+
+    Args:
+        columns: What is summed up.
+        zone_names: The world's zones; without any, one name stands for all.
+    """
+    ends = [f"/{zone}" for zone in zone_names] or [""]
+    kinds = ["decisions", *(f"{column}_sum" for column in columns)]
+    return [[f"{kind}{end}" for end in ends] for kind in kinds]

@@ -1,0 +1,114 @@
+"""Tallies: how often agents were in each zone, and what came of it, summed up over decisions.
+
+They are how little of a large population is kept of every agent. Shapes: `A` agents, `Z` zones, `F`
+columns that are summed up. In a world without zones, one zone stands for all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How many decisions agents took in each zone, and what came of them, summed up.
+
+    Attributes:
+        counts: Shape `(..., A, Z)`, how many decisions.
+        sums: Under the name of each column, its sums, of the same shape; NaN where there is nothing
+            to sum up, such as expected errors without MP.
+    """
+
+    counts: NDArray[np.int64]
+    sums: dict[str, NDArray[np.float64]]
+
+    def __add__(self, other: "Tally") -> "Tally":
+        """Return both together."""
+        sums = {name: mine + other.sums[name] for name, mine in self.sums.items()}
+        return Tally(self.counts + other.counts, sums)
+
+    def __getitem__(self, windows: slice) -> "Tally":
+        """Return some windows, which are the first axis."""
+        return Tally(self.counts[windows], {name: s[windows] for name, s in self.sums.items()})
+
+    def total(self, *axes: int) -> "Tally":
+        """Return what some axes make together; they stay, with a length of 1."""
+        sums = {name: of.sum(axis=axes, keepdims=True) for name, of in self.sums.items()}
+        return Tally(self.counts.sum(axis=axes, keepdims=True), sums)
+
+    def means(self, column: str) -> NDArray[np.float64]:
+        """Return the mean of a column, shape `(..., A, Z)`; NaN in a zone without decisions."""
+        nothing = np.full(self.counts.shape, np.nan)
+        means = np.divide(self.sums[column], self.counts, out=nothing, where=self.counts > 0)
+        return np.asarray(means)
+
+
+class RunningTally:
+    """A tally that grows decision by decision, on the device where decisions are made.
+
+    Nothing is copied from there before `take` is called.
+
+    Args:
+        n_agents: How many agents there are.
+        n_zones: How many zones the world has; 0 if it has none.
+        columns: What is summed up, in the order in which it will come.
+    """
+
+    def __init__(self, n_agents: int, n_zones: int, columns: Sequence[str]) -> None:
+        self._columns, self._n_zones = columns, max(1, n_zones)
+        self._first_cells = torch.arange(n_agents) * self._n_zones
+        # The first row counts decisions.
+        self._sums = torch.zeros(1 + len(columns), n_agents * self._n_zones, dtype=torch.float64)
+        self._ones = torch.ones(n_agents, dtype=torch.float64)
+
+    def add(self, zones: Tensor | None, values: Sequence[Tensor]) -> None:
+        """Count in one decision of every agent.
+
+        Args:
+            zones: Shape `(A,)`, where each was; None in a world without zones.
+            values: What each column gets, shape `(A,)`, all on one device.
+
+        Raises:
+            ValueError: There is no such zone. On a GPU, which would make the loop wait, nobody
+                looks.
+        """
+        if zones is not None and zones.device.type == "cpu":
+            self._check(zones)
+        if self._sums.device != values[0].device:
+            self._move(values[0].device)
+        cells = self._first_cells if zones is None else self._first_cells + zones
+        added = torch.stack([self._ones, *(of.double() for of in values)])
+        self._sums.index_add_(1, cells, added)
+
+    def take(self) -> Tally:
+        """Return what was counted in since the last time, shape `(A, Z)`, and start anew."""
+        counts, *sums = self._sums.numpy(force=True).reshape(len(self._sums), -1, self._n_zones)
+        taken = Tally(
+            counts.astype(np.int64),
+            {name: of.copy() for name, of in zip(self._columns, sums, strict=True)},
+        )
+        self._sums.zero_()
+        return taken
+
+    def state(self) -> Tensor:
+        """Return what was counted in since the last time, shape `(1 + F, A * Z)`."""
+        return self._sums.clone()
+
+    def load_state(self, state: Tensor) -> None:
+        """Go on from what `state` returned, shape `(1 + F, A * Z)`."""
+        self._sums.copy_(state)
+
+    def _check(self, zones: Tensor) -> None:
+        least, most = (int(bound) for bound in zones.aminmax())
+        if least < 0 or most >= self._n_zones:
+            wrong = least if least < 0 else most
+            raise ValueError(f"a zone must lie in [0, {self._n_zones - 1}], got {wrong}")
+
+    def _move(self, device: torch.device) -> None:
+        self._first_cells, self._sums, self._ones = (
+            of.to(device) for of in (self._first_cells, self._sums, self._ones)
+        )

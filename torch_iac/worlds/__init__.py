@@ -1,0 +1,1 @@
+"""Worlds of Gymnasium: made, bounded, vectorised and saved."""

@@ -1,0 +1,118 @@
+"""Bounds of sensors that a world leaves open: given by the user, or found by random decisions."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.wrappers import TransformObservation
+from numpy.typing import NDArray
+
+from torch_iac.space import MOST_BOUND, Dimension, names_of
+from torch_iac.worlds.vector import World, outcome_of
+
+MARGIN = 0.1
+"""Found bounds lie so far outside of what was read, as a share of its range."""
+
+STILL = 1e-6
+"""What ranges over less than this share of its size, or of 1, did not move."""
+
+SEED = 0
+"""Bounds are found with this seed always: they are the world's, not a robot's."""
+
+Floats = NDArray[np.floating[Any]]
+"""A number for each sensor, shape `(sensor_dim,)`, in raw units."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds for all sensors of a world, not all of them its own.
+
+    Attributes:
+        box: What sensors are clipped to, in raw units.
+        given: The names of the sensors whose bounds were given.
+        found: The names of those for which one was found.
+    """
+
+    box: Box
+    given: tuple[str, ...]
+    found: tuple[str, ...]
+
+    def clips(self, world: gym.Env[Any, Any]) -> gym.Wrapper[Any, Any, Any, Any]:
+        """Return a world that reads its sensors within the bounds, the bound itself beyond."""
+        low, high = self.box.low, self.box.high
+        return TransformObservation(world, lambda sensors: np.clip(sensors, low, high), self.box)
+
+
+def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the bounds of sensors, in raw units, each written as name=low,high.
+
+    Raises:
+        ValueError: One is written otherwise, or is not finite and in order.
+    """
+    bounds = {}
+    for text in texts:
+        name, _, numbers = text.rpartition("=")
+        try:
+            low, high = map(float, numbers.split(","))
+        except ValueError:
+            raise ValueError(f"sensor bounds must be written name=low,high, got {text}") from None
+        Dimension(name, low, high)  # refuses what can be none
+        bounds[name] = (low, high)
+    return bounds
+
+
+def bounds_of(
+    world: World, given: Mapping[str, tuple[float, float]], n_decisions: int
+) -> Bounds | None:
+    """Return bounds for all sensors of a world; None if its own will do.
+
+    They are those given; else the world's own; else those found by random decisions.
+
+    Args:
+        world: A single world; random decisions are taken in it if they are needed.
+        given: Low and high, in raw units, by the name of the sensor.
+        n_decisions: How many random decisions.
+
+    Raises:
+        ValueError: A name is no sensor's, or the world names more or fewer than there are.
+    """
+    box = world.single_observation_space
+    if not isinstance(box, Box) or len(box.shape) != 1:
+        return None  # which no space is made of
+    low, high, names = box.low.astype(float), box.high.astype(float), names_of(world, "sensor")
+    for name, of_name in given.items():
+        if name not in names:
+            raise ValueError(f"sensor bounds must be of {', '.join(names)}, got {name}")
+        low[names.index(name)], high[names.index(name)] = of_name
+    has_low, has_high = low >= -MOST_BOUND, high <= MOST_BOUND
+    found = [name for name, *has in zip(names, has_low, has_high, strict=True) if not all(has)]
+    if found:
+        found_low, found_high = found_bounds(world, n_decisions)
+        low, high = np.where(has_low, low, found_low), np.where(has_high, high, found_high)
+    if not (given or found):
+        return None
+    return Bounds(Box(low, high, dtype=np.float64), tuple(given), tuple(found))
+
+
+def found_bounds(world: World, n_decisions: int) -> tuple[Floats, Floats]:
+    """Return bounds around all that the sensors of a single world read in random decisions.
+
+    They lie a tenth of the range outside of what was read; around a sensor that never moved, by
+    1 or its size, whichever is more.
+
+    Returns:
+        The low and the high ones, each of shape `(sensor_dim,)`, in raw units.
+    """
+    world.action_space.seed(SEED)
+    sensors, _ = world.reset(seed=SEED)
+    low = high = np.asarray(sensors[0], float)
+    for _ in range(n_decisions):
+        sensors, _, terminated, truncated, info = world.step(world.action_space.sample())
+        for reading in (outcome_of(world, sensors, terminated | truncated, info), sensors):
+            low, high = np.minimum(low, reading[0]), np.maximum(high, reading[0])
+    size = np.maximum(1.0, np.maximum(abs(low), abs(high)))
+    margin = np.where(high - low < STILL * size, size, MARGIN * (high - low))
+    return low - margin, high + margin

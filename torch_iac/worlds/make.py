@@ -1,0 +1,119 @@
+"""The worlds that the command makes: which there are, and how their options are written."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+from typing import Any
+from warnings import catch_warnings
+
+import gymnasium as gym
+import torch
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RepeatAction
+
+import torch_iac_envs  # noqa: F401 - registers the worlds
+from torch_iac.toy_room import WORLDS
+from torch_iac.worlds.bounds import Bounds
+from torch_iac.worlds.options import EPISODES, check_options, parameters_of
+from torch_iac.worlds.saving import savable
+from torch_iac.worlds.vector import World
+
+
+def make_world(
+    name: str,
+    n_worlds: int,
+    options: Mapping[str, Any],
+    device: torch.device,
+    hold: int = 1,
+    bounds: Bounds | None = None,
+) -> World:
+    """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
+
+    Args:
+        name: One of `WORLDS`, or what Gymnasium calls a world, such as `Pendulum-v1` or
+            `module:id`.
+        n_worlds: How many.
+        options: Arguments of each.
+        device: Where worlds that are tensors are.
+        hold: For how many steps of the world an action is held.
+        bounds: What sensors are clipped to; None leaves them as they are.
+
+    Raises:
+        ValueError: There is no such world, it has no such option, refuses its value, or cannot be
+            given bounds or hold actions.
+    """
+    spec = _spec(name)
+    with _refusals(name, options):
+        if spec.entry_point is None:
+            if hold > 1 or bounds is not None:
+                raise ValueError(
+                    f"hold and sensor_bounds must be left to worlds that are single, got {name}"
+                )
+            return _batched(name, spec, n_worlds, options, device)
+        parameters = dict(parameters_of(spec.entry_point))
+        if spec.max_episode_steps is not None:
+            parameters |= EPISODES
+        check_options(name, options, parameters)
+        wrappers: list[Callable[..., gym.Wrapper[Any, Any, Any, Any]]] = []
+        if hold > 1:
+            wrappers.append(partial(RepeatAction, num_repeats=hold))
+        if bounds is not None:
+            wrappers.append(bounds.clips)
+        mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
+
+
+def _batched(
+    name: str,
+    spec: EnvSpec,
+    n_worlds: int,
+    options: Mapping[str, Any],
+    device: torch.device,
+) -> World:
+    """Return a natively vectorised environment, such as one of tensors."""
+    parameters = parameters_of(spec.vector_entry_point)
+    check_options(name, options, parameters)
+    # Actions are in their bounds; the check would make a GPU wait at every decision.
+    known = {"device": device, "check_actions": False}
+    own = {option: value for option, value in known.items() if option in parameters}
+    arguments: dict[str, Any] = {**own, **options}
+    return gym.make_vec(spec, n_worlds, "vector_entry_point", **arguments)
+
+
+def _spec(name: str) -> EnvSpec:
+    """Return what Gymnasium knows of a world, once its module, if it names one, is imported."""
+    module, _, world = WORLDS.get(name, name).rpartition(":")
+    try:
+        if module:
+            import_module(module)
+        return gym.spec(world)
+    except (ImportError, TypeError, ValueError, gym.error.Error) as error:
+        raise ValueError(
+            f"world must be {', '.join(WORLDS)} or a world of Gymnasium such as Pendulum-v1, "
+            f"got {name} ({error})"
+        ) from None
+
+
+@contextmanager
+def _refusals(name: str, options: Mapping[str, Any]) -> Iterator[None]:
+    """Turn what worlds raise when they are made into a `ValueError`.
+
+    What may be a bug of the world's comes through, unless options may be to blame.
+    """
+    words = " ".join(f"{option}={value!s:.80}" for option, value in options.items())
+    given = f" with {words}" if words else ""
+    try:
+        with catch_warnings(action="ignore"):  # worlds refuse by themselves what is warned of
+            yield
+    except (ValueError, OSError, gym.error.Error):  # they say what is wrong
+        raise
+    except RuntimeError as error:  # such as a window where there is no display
+        raise ValueError(str(error)) from error
+    except (TypeError, ImportError) as error:  # such as an option that is none, or a package
+        raise ValueError(f"{name} cannot be made{given}: {error}") from error
+    except Exception as error:  # such as a division by an option that is 0
+        if not options:
+            raise
+        raise ValueError(f"{name} cannot be made{given}: {error!r}") from error
