@@ -3,22 +3,21 @@
 import os
 import signal
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
+from torch_iac.compare.plan import Job
 from torch_iac.runs.schema import SUMMARY
 
 
-def live(words: Sequence[str], folder: Path) -> None:
-    """End well, badly, suddenly or not at all, as the first word says."""
+def live(job: Job) -> None:
+    """End well, badly, suddenly or not at all, as the variant's name says."""
     sys.stdout.write("it has begun\n")
-    if words[0] == "fail":
+    if job.content["end"] == "fail":
         raise RuntimeError("no luck\nat all")
-    if words[0] == "die":
+    if job.content["end"] == "die":
         os.kill(os.getpid(), signal.SIGKILL)
-    if words[0] == "exit":
+    if job.content["end"] == "exit":
         sys.exit(3)
-    if words[0] == "stop":
+    if job.content["end"] == "stop":
         raise KeyboardInterrupt
-    folder.mkdir(parents=True)
-    (folder / SUMMARY).write_text("{}")
+    job.folder.mkdir(parents=True)
+    (job.folder / SUMMARY).write_text("{}")

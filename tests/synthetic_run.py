@@ -15,6 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torch_iac.config import IACConfig
+from torch_iac.meta_predictor import MetaPredictor
 from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
 from torch_iac.runs.recorder import Recorder
 from torch_iac.space import Dimension, SensorimotorSpace
@@ -48,18 +50,17 @@ def write_run(
     zone_names: tuple[str, ...] | None = ZONES,
     rows_per_part: int = 1000,
     log_every: int = 100,
-    config: Mapping[str, Any] | None = None,
+    numbers: Mapping[str, Any] | None = None,
     shadows: Mapping[str, float] | None = None,
     meta: bool = False,
     n_recorded: int | None = None,
 ) -> Path:
     """Record a made-up run and return its folder; its shadows as `SyntheticPopulation` has them."""
-    population = SyntheticPopulation(n_agents, n_decisions, shadows, meta)
+    population = SyntheticPopulation(n_agents, n_decisions, shadows, meta, **(numbers or {}))
     with Recorder(
         folder,
         population,
         zone_names,
-        config,
         log_every=log_every,
         rows_per_part=rows_per_part,
         n_recorded=n_recorded,
@@ -165,6 +166,7 @@ class SyntheticPopulation:
         n_decisions: How long they live.
         shadows: How many times the error of the experts that of each shadow is.
         meta: Whether there is an MP; it expects the very mean of the errors.
+        numbers: What their config says; they do not heed it.
     """
 
     def __init__(
@@ -173,8 +175,10 @@ class SyntheticPopulation:
         n_decisions: int,
         shadows: Mapping[str, float] | None = None,
         meta: bool = False,
+        **numbers: Any,
     ) -> None:
         self.space = SPACE
+        self.config = IACConfig(meta=MetaPredictor() if meta else None, **numbers)
         self.seeds = tuple(range(100, 100 + n_agents))
         self.n_decisions = n_decisions
         self.shadows = dict(shadows or {})

@@ -22,6 +22,11 @@ from .drives.learning_progress import Progress as Progress
 from .drives.protocol import Candidates as Candidates
 from .drives.protocol import Drive as Drive
 from .drives.protocol import Knowledge as Knowledge
+from .experiment import Experiment as Experiment
+from .experiment import StoppedError as StoppedError
+from .experiment import load_agent as load_agent
+from .experiment import load_experiment as load_experiment
+from .experiment import resume as resume
 from .experts.knn import KNNExperts as KNNExperts
 from .experts.network import MLPExperts as MLPExperts
 from .experts.network import NetworkExperts as NetworkExperts
@@ -44,6 +49,8 @@ from .regions.tree import RegionTree as RegionTree
 from .regions.tree import Split as Split
 from .reward import ProgressReward as ProgressReward
 from .reward import VectorProgressReward as VectorProgressReward
+from .runs.reader import Run as Run
+from .runs.reader import load_run as load_run
 from .space import Dimension as Dimension
 from .space import SensorimotorSpace as SensorimotorSpace
 from .version import __version__ as __version__

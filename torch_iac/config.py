@@ -1,14 +1,24 @@
 """Every number of the algorithm in one place, and the two papers' numbers."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self
 
-from torch_iac.drives.choices import Choice, Greedy
-from torch_iac.drives.learning_progress import Progress
+from torch_iac.drives.baselines import Error, Improvement, Novelty, Random
+from torch_iac.drives.choices import Choice, Greedy, Proportional, Softmax
+from torch_iac.drives.curriculum import Curriculum, Stage
+from torch_iac.drives.learning_progress import (
+    AbsoluteProgress,
+    GlobalProgress,
+    MetaProgress,
+    Progress,
+)
 from torch_iac.drives.protocol import Drive
 from torch_iac.experts.knn import KNNExperts
+from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
+from torch_iac.experts.stacked_networks import MLP
+from torch_iac.internal.parts import build, from_json, to_json
 from torch_iac.internal.validation import check_count
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
@@ -29,8 +39,9 @@ class IACConfig:
     """What a candidate action is worth."""
     choice: Choice = field(default_factory=Greedy)
     """Which candidate is taken, given what each is worth."""
-    meta: MetaPredictor | None = None
-    """MP, which some drives need; the regional drive does not."""
+    meta: MetaPredictor | None = field(default_factory=MetaPredictor)
+    """MP, which learns what errors to expect; some drives need it, the regional drive does not.
+    None leaves it out."""
     improvement: ImprovementPredictor | None = None
     """What learns how much an update improves a prediction; one drive needs it."""
     shadows: Mapping[str, Experts] = field(default_factory=dict)
@@ -70,8 +81,23 @@ class IACConfig:
                 raise ValueError(f"{part} must be on for the drive {drive}, got None")
 
     def to_json(self) -> dict[str, Any]:
-        """Return every number, and the kind and the numbers of each part."""
-        return {f.name: _to_json(getattr(self, f.name)) for f in fields(self)}
+        """Return every number, and the kind and the numbers of each part, as JSON can hold them."""
+        return {f.name: to_json(getattr(self, f.name), PARTS) for f in fields(IACConfig)}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Self:
+        """Return the config of which `to_json` made JSON; fields that are missing have defaults.
+
+        Parts of a user's own are imported.
+
+        Raises:
+            ValueError: There is no such field, or it takes no such value; the message names it.
+        """
+        if not isinstance(content, Mapping):
+            raise ValueError(f"a config must have fields by name, got {content!r:.80}")
+        values = {name: from_json(part, PARTS, f"iac.{name}") for name, part in content.items()}
+        config: Self = build(cls, values, "iac")
+        return config
 
 
 PRESETS = {
@@ -82,16 +108,13 @@ PRESETS = {
 `beams=0, toy_direction=False`."""
 
 
-def _to_json(value: Any) -> Any:
-    """Return a config's value as JSON can hold it; what it cannot hold by its name."""
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {name: _to_json(part) for name, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_to_json(part) for part in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        numbers = {f.name: _to_json(getattr(value, f.name)) for f in fields(value)}
-        return {"kind": type(value).__name__, **numbers}
-    named = value if hasattr(value, "__qualname__") else type(value)
-    return f"{named.__module__}.{named.__qualname__}"
+PARTS: dict[str, type] = {
+    part.__name__: part
+    for part in (
+        *(KNNExperts, MLPExperts, NetworkExperts, MLP, MetaPredictor, ImprovementPredictor),
+        *(Progress, AbsoluteProgress, GlobalProgress, MetaProgress),
+        *(Error, Novelty, Improvement, Random, Curriculum, Stage),
+        *(Greedy, Proportional, Softmax),
+    )
+}
+"""What a config can be made of, by the names that its JSON has for them."""

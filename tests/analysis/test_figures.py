@@ -65,7 +65,7 @@ def test_the_root_hears_every_zone_and_has_the_colour_of_none(run: Run) -> None:
 
 
 def test_the_figure_says_over_how_many_errors_the_run_took_its_means(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, n_decisions=30, config={"iac": {"window": 26}})
+    folder = write_run(tmp_path, n_decisions=30, numbers={"window": 26})
     figure = draw_experts(load_run(folder))
     assert figure.axes[0].get_ylabel() == "Mean of last 26 errors (scaled)"
 

@@ -81,8 +81,8 @@ def test_a_cut_goes_to_the_lower_box_and_the_lowest_value_to_the_lowest(run: Run
 
 
 def test_robots_that_inherit_nothing_know_the_progress_of_their_own_errors(tmp_path: Path) -> None:
-    config = {"iac": {"window": 20, "delay": 10, "inherit_history": False}}
-    run = load_run(write_run(tmp_path, n_decisions=900, config=config))
+    numbers = {"window": 20, "delay": 10, "inherit_history": False}
+    run = load_run(write_run(tmp_path, n_decisions=900, numbers=numbers))
     partition = partition_of(run)
     errors, regions = run.column("error")[:, 0], run.column("region")[:, 0]
     for leaf, progress in zip(partition.regions, partition.progress, strict=True):

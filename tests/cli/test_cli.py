@@ -12,7 +12,7 @@ import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 from unittest import mock
 
 import pyarrow.parquet as pq
@@ -24,6 +24,7 @@ from PIL import Image, ImageSequence
 from torch_iac import (
     PRESETS,
     Error,
+    Experiment,
     IACConfig,
     ImprovementPredictor,
     KNNExperts,
@@ -31,9 +32,10 @@ from torch_iac import (
     MLPExperts,
     Softmax,
     Step,
+    load_experiment,
 )
 from torch_iac.cli.main import main
-from torch_iac.cli.options import DRIVES, DriveName
+from torch_iac.cli.options import DRIVES
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.recorder import Recorder
 from torch_iac_envs.kinematic import ToyRoomKinematic
@@ -118,13 +120,8 @@ def test_a_run_folder_is_whole(run: Run) -> None:
 def test_a_config_says_how_to_run_it_again(run: Run) -> None:
     config = run.config
     assert config["command"] == ["torch-iac", *f"train --steps 300 --out {run.folder}".split()]
-    assert config["world"] == {
-        "name": "toyroom",
-        "id": "torch_iac_envs/ToyRoom-v0",
-        "options": {},
-    }
-    assert config["iac"] == IACConfig(meta=MetaPredictor()).to_json()
-    assert (config["preset"], config["steps"], config["seeds"]) == ("iac2004", 300, [0])
+    assert load_experiment(run.folder) == Experiment(steps=300)
+    assert config["iac"] == IACConfig().to_json()
     assert set(config["versions"]) >= {"python", "torch_iac", "torch"}
     assert any(name.startswith("pybullet") for name in config["versions"])
     assert list(config["space"]["sensors"]) == SENSORS
@@ -145,19 +142,24 @@ def test_the_report_tells_what_happened_and_where_to_look(tmp_path: Path) -> Non
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_is_where_options_start_from(tmp_path: Path, preset: str) -> None:
     run = train(tmp_path / "a", "--preset", preset, "--no-mp")
-    assert run.config["iac"] == PRESETS[preset].to_json()
+    assert run.config["iac"] == replace(PRESETS[preset], meta=None).to_json()
 
 
 def test_options_override_the_preset_wherever_they_stand(tmp_path: Path) -> None:
-    words = "--epsilon 0.5 --k 3 --preset iac2007 --delay=7 --no-inherit-history --no-mp"
+    words = "--epsilon 0.5 --experts.k 3 --preset iac2007 --delay=7 --no-inherit-history --no-mp"
     run = train(tmp_path / "a", *words.split())
     expected = replace(
-        PRESETS["iac2007"], epsilon=0.5, delay=7, inherit_history=False, experts=KNNExperts(k=3)
+        PRESETS["iac2007"],
+        epsilon=0.5,
+        delay=7,
+        inherit_history=False,
+        experts=KNNExperts(k=3),
+        meta=None,
     )
     assert run.config["iac"] == expected.to_json()
 
 
-@pytest.mark.parametrize("drive", get_args(DriveName))
+@pytest.mark.parametrize("drive", DRIVES)
 def test_every_drive_can_be_chosen(tmp_path: Path, drive: str) -> None:
     run = train(tmp_path / "a", "--drive", drive, steps=60)
     assert (
@@ -169,8 +171,8 @@ def test_every_drive_can_be_chosen(tmp_path: Path, drive: str) -> None:
 
 
 def test_parts_have_options_of_their_own(tmp_path: Path) -> None:
-    words = "--experts mlp --hidden 8 --shadows knn mlp --drive error --source meta"
-    more = "--choice softmax --temperature 0.5 --meta.memory 50"
+    words = "--experts mlp --experts.hidden 8 --shadows knn mlp --drive error --drive.source meta"
+    more = "--choice softmax --choice.temperature 0.5 --meta.memory 50"
     run = train(tmp_path / "a", *words.split(), *more.split(), steps=60)
     expected = IACConfig(
         experts=MLPExperts(hidden=(8,)),
@@ -186,7 +188,7 @@ def test_parts_have_options_of_their_own(tmp_path: Path) -> None:
 def test_a_world_has_the_options_that_it_is_given(tmp_path: Path) -> None:
     options = ("beams=4", "sensor_noise=0", "toy-direction=false")
     run = train(tmp_path / "a", "--world-options", *options, steps=100)
-    assert run.config["world"]["options"] == {
+    assert run.config["world_options"] == {
         "beams": 4,
         "sensor_noise": 0,
         "toy_direction": False,
@@ -241,11 +243,8 @@ def test_the_kinematic_world_writes_the_same_run_folder(run: Run, tmp_path: Path
     words = "--world kinematic --agents 3 --device auto --world-options sensor_noise=0"
     twin = train(tmp_path / "a", *words.split(), steps=300)
     assert twin.steps.column_names == run.steps.column_names
-    assert twin.config["world"] == {
-        "name": "kinematic",
-        "id": "torch_iac_envs/ToyRoomKinematic-v0",
-        "options": {"sensor_noise": 0},
-    }
+    assert twin.config["world"] == "kinematic"
+    assert twin.config["world_options"] == {"sensor_noise": 0}
     assert (twin.n_agents, twin.n_recorded, twin.n_decisions) == (3, 3, 300)
     files = [
         {path.relative_to(folder) for path in folder.rglob("*") if "tfevents" not in path.name}
@@ -290,8 +289,8 @@ def test_of_many_robots_a_few_are_recorded_and_it_is_said(
         f"--n-candidates {10**9}",
         f"--meta.hidden {10**12} {10**12}",
         f"--meta.bins {10**12}",
-        f"--shadows mlp --experts mlp --hidden {10**9}",
-        f"--experts mlp --children fresh --fresh-minibatches {10**12}",
+        f"--shadows mlp --experts mlp --experts.hidden {10**9}",
+        f"--experts mlp --experts.children fresh --experts.fresh-minibatches {10**12}",
     ],
 )
 def test_what_is_far_too_large_is_refused_before_it_is_made(tmp_path: Path, words: str) -> None:
@@ -370,7 +369,7 @@ def test_a_run_that_cannot_be_filmed_is_refused_with_one_sentence(
 @pytest.mark.parametrize(
     ("command", "some"),
     [
-        ("train", {"--preset", "--epsilon", "--k"}),
+        ("train", {"--preset", "--epsilon", "--experts.k"}),
         ("figures", {"--pdf"}),
         ("replay", {"--at", "--decisions", "--agent", "--out"}),
         ("compare", {"--variant", "--ray"}),
@@ -406,8 +405,8 @@ BAD_VALUES = [
     ("--epsilon 1.3", "epsilon must lie in [0, 1], got 1.3"),
     ("--balance 0.6", "balance must lie in [0, 0.5], got 0.6"),
     ("--max-examples 1", "max_examples must be at least 2, got 1"),
-    ("--k 0", "k must be at least 1, got 0"),
-    ("--experts mlp --hidden 0", "hidden must be at least 1 unit a layer, got (0,)"),
+    ("--experts.k 0", "k must be at least 1, got 0"),
+    ("--experts mlp --experts.hidden 0", "hidden must be at least 1 unit a layer, got (0,)"),
     ("--no-mp --drive global_progress", "meta must be on for the drive GlobalProgress, got None"),
     ("--outcomes toy_smell", f"outcomes must be sensors ({', '.join(SENSORS)}), got toy_smell"),
     ("--world-options beams", "world options must be written name=value, got beams"),
@@ -435,9 +434,9 @@ BAD_VALUES = [
         f"--delay {'9' * 400}",
         "delay must be at most 1,000,000,000,000, got a number of 400 digits",
     ),
-    (f"--k {10**30}", f"k must be at most 1,000,000,000,000, got {10**30}"),
+    (f"--experts.k {10**30}", f"k must be at most 1,000,000,000,000, got {10**30}"),
     (
-        "--drive curriculum --stages.1.dimension smell",
+        "--drive curriculum --drive.stages.1.dimension smell",
         "a stage must be about an action (left_wheel, right_wheel, sound), got smell",
     ),
     ("--world-options beams=-1", "beams must be at least 0 and finite, got -1"),

@@ -15,7 +15,7 @@ import torch_iac
 from tests.cli.test_cli import typed
 from torch_iac.cli import commands, typos
 from torch_iac.cli import main as cli
-from torch_iac.cli.options import CHOICES, DRIVES, EXPERTS, Train, settings_of
+from torch_iac.cli.options import CHOICES, DRIVES, EXPERTS, Train, experiment_of
 
 HEAVY = {
     *("torch", "numpy", "scipy", "matplotlib", "PIL", "pyarrow", "gymnasium", "pybullet"),
@@ -82,7 +82,7 @@ def test_a_mistyped_command_is_answered_with_what_was_perhaps_meant(words: str, 
         "--agents 2 --step 3 --seed 1",
         "--hunger",
         "--epsilom=0.1",
-        "--drive curriculum --stages.1.dimensio sound",
+        "--drive curriculum --drive.stages.1.dimensio sound",
         "--hungers -3 x - --steps 4",
         "--max_example 30",
     ],
@@ -91,7 +91,7 @@ def test_a_mistyped_option_is_answered_as_the_parser_would(words: str) -> None:
     with pytest.raises(ValueError, match="Unrecognized options") as quick:
         typos.check_options(words.split())
     with pytest.raises(ValueError, match="Unrecognized options") as parsed:
-        settings_of(words.split())
+        experiment_of(words.split())
     what, of_parser = (re.split(r"; | \(", str(refusal.value))[0] for refusal in (quick, parsed))
     assert what == of_parser
     assert typed("train", *words.split()).err == f"torch-iac: {quick.value}\n"

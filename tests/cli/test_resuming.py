@@ -13,8 +13,8 @@ import pytest
 
 from tests.same_run import differences
 from torch_iac import training
-from torch_iac.cli import exits
 from torch_iac.cli.main import main
+from torch_iac.internal.stop_signals import stopping
 from torch_iac.runs.checkpoint import Checkpoints
 from torch_iac.runs.reader import load_run
 from torch_iac.runs.schema import CHECKPOINTS
@@ -253,7 +253,7 @@ def test_checkpoints_keep_to_their_share_of_the_time(
 
 def test_a_second_signal_does_not_wait_for_the_decision_to_end() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with exits.stopping() as stop:
+    with stopping() as stop:
         signal.raise_signal(signal.SIGTERM)
         assert stop()
         with pytest.raises(KeyboardInterrupt):

@@ -2,6 +2,7 @@
 
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -15,7 +16,8 @@ from torch_iac.internal.bars import tqdm
 
 def job(folder: Path, word: str, number: int = 0) -> Job:
     """A run that ends as the word says."""
-    return Job(word, (number,), folder / word / f"seed-{number:03d}", (word,))
+    run = folder / word / f"seed-{number:03d}"
+    return Job(word, (number,), run, {"end": word}, str(folder))
 
 
 def states(*jobs: Job) -> list[str]:
@@ -35,7 +37,7 @@ def test_every_run_ends_in_its_own_way(tmp_path: Path) -> None:
         "its process ended with exit code 3",
     ]
     log = jobs[1].log.read_text()
-    assert log.splitlines()[0].endswith(": fail")
+    assert log.splitlines()[0].endswith(": fail/seed-001")
     assert "it has begun" in log
     assert "RuntimeError: no luck" in log
 
@@ -52,7 +54,7 @@ def test_a_failure_is_forgotten_when_the_run_is_tried_again(tmp_path: Path) -> N
     bad = job(tmp_path, "fail")
     run_job(bad, live)
     assert states(bad) == ["failed"]
-    run_job(Job(bad.variant, bad.seeds, bad.folder, ("fine",)), live)
+    run_job(replace(bad, content={"end": "fine"}), live)
     assert states(bad) == ["done"]
 
 

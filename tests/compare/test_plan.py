@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sysconfig
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.cli.test_cli import Answer, train, typed
-from torch_iac.compare.plan import Comparison, Variant, load_comparison, part_of, read_variants
+from torch_iac import Experiment, IACConfig, Random
+from torch_iac.compare.plan import Comparison, Variant, load_comparison, part_of
 from torch_iac.runs.reader import load_run
 
 SCRIPT = Path(sysconfig.get_path("scripts")) / "torch-iac"
 SMALL = ("--world", "kinematic", "--no-mp", "--steps", "30")
-KNN, RANDOM = Variant("knn", ()), Variant("random", ("--drive", "random"))
+KNN = Variant("knn", Experiment(steps=9))
+RANDOM = Variant(
+    "random", Experiment(steps=9, config=IACConfig(drive=Random())), ("--drive", "random")
+)
 
 
 def compare(folder: Path, *words: str | Path, runs: tuple[str, ...] = SMALL) -> Answer:
@@ -34,17 +39,16 @@ def test_jobs_are_variants_times_seeds_seed_by_seed(tmp_path: Path) -> None:
     jobs = Comparison(tmp_path, (KNN, RANDOM), ("--steps", "9"), n_seeds=2, seed=5).jobs()
     names = ["knn/seed-005", "random/seed-005", "knn/seed-006", "random/seed-006"]
     assert [job.name for job in jobs] == names
-    assert jobs[1].words == (
-        *("torch-iac", "train", "--steps", "9", "--drive", "random"),
-        *("--seed=5", "--agents=1", f"--out={tmp_path}/random/seed-005"),
-    )
+    experiment = Experiment.from_json(jobs[1].content)
+    assert experiment == replace(RANDOM.experiment, seeds=(5,))
+    assert jobs[1].folder == tmp_path / "random" / "seed-005"
 
 
 def test_a_block_of_seeds_is_one_population(tmp_path: Path) -> None:
     jobs = Comparison(tmp_path, (KNN,), n_seeds=5, block=2).jobs()
     assert [job.seeds for job in jobs] == [(0, 1), (2, 3), (4,)]
     assert [job.folder.name for job in jobs] == ["seeds-000-001", "seeds-002-003", "seeds-004-004"]
-    assert jobs[1].words[2:4] == ("--seed=2", "--agents=2")
+    assert jobs[1].content["seeds"] == [2, 3]
 
 
 def test_parts_of_an_array_job_share_all_runs_out(tmp_path: Path) -> None:
@@ -59,14 +63,6 @@ def test_a_plan_is_read_back(tmp_path: Path) -> None:
     plan.save()
     assert load_comparison(tmp_path) == plan
     assert [path.name for path in tmp_path.iterdir()] == ["comparison.json"]
-
-
-def test_variants_are_words_or_one_text(tmp_path: Path) -> None:
-    file = tmp_path / "variants.json"
-    file.write_text('{"knn": [], "random": "--drive random"}')
-    assert read_variants(file) == (KNN, RANDOM)
-    assert Variant.from_text("random: --drive random") == RANDOM
-    assert Variant.from_text("knn:") == KNN
 
 
 def test_a_comparison_grows(tmp_path: Path) -> None:
@@ -127,14 +123,25 @@ def test_bad_words_are_refused_before_anything_runs(
     assert not (tmp_path / "a").exists()
 
 
+def test_variants_can_be_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "variants.json"
+    file.write_text('{"knn": [], "random": "--drive random"}')
+    answer = compare(tmp_path / "a", "--variants", file, "--seeds=1")
+    assert (answer.code, answer.err) == (0, "")
+    kinds = [
+        variant.experiment.config.drive for variant in load_comparison(tmp_path / "a").variants
+    ]
+    assert [type(of.experiment.config.drive).__name__ for of in found] == ["Progress", "Random"]
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        ("[1]", "variants must be names, each with its words, got [1]"),
+        ("[1]", "variants must be names, each with words, got [1]"),
         ('{"a": [1]}', "the words of a must be a list of texts, got [1]"),
         (
-            '{"a": "--k \'1"}',
-            "the words of variant a cannot be read (No closing quotation): --k '1",
+            '{"a": "--experts.k \'1"}',
+            "the words of variant a cannot be read (No closing quotation): --experts.k '1",
         ),
         ('{"a": [], "a": []}', "JSON must be whole and strict: a name must stand once, got 'a'"),
     ],
@@ -211,7 +218,7 @@ def test_a_run_that_fails_is_told_of_and_the_others_go_on(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (("--variant=knn:--k 2",), "the words of knn must stay ``"),
+        (("--variant=knn:--experts.k 2",), "iac.experts.k of knn must stay 1"),
         (("--block=2",), "block must stay `1`"),
         (("--", "--steps", "9"), f"the words for all must stay `{' '.join(SMALL)}`"),
     ],
@@ -228,7 +235,7 @@ def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
     train(tmp_path / "a" / "knn" / "seed-000", "--world", "kinematic")
     answer = compare(tmp_path / "a", "--variant=knn:", "--seeds=1")
     assert answer.code == 2
-    assert re.search("seed-000 must hold the run of `.*`, got `torch-iac train ", answer.err)
+    assert re.search("seed-000 must hold the run of knn/seed-000, with .*, got", answer.err)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is a signal only there")
@@ -261,7 +268,7 @@ def test_a_comparison_that_is_stopped_goes_on(tmp_path: Path, number: signal.Sig
     alone = train(tmp_path / "alone", *words[:-2], steps=300)
     assert load_run(folder / "a" / "seed-000").steps == alone.steps
     log = (folder / "a" / "seed-000.log").read_text()
-    assert len(re.findall(r"^\d{4}-.*, process \d+: torch-iac train", log, re.MULTILINE)) == 2
+    assert len(re.findall(r"^\d{4}-.*, process \d+: a/seed-000", log, re.MULTILINE)) == 2
 
 
 def config_of(folder: Path) -> dict[str, Any]:
@@ -271,5 +278,10 @@ def config_of(folder: Path) -> dict[str, Any]:
 
 
 def test_the_plan_says_what_was_asked_for(folder: Path) -> None:
-    assert config_of(folder)["variants"] == {"knn": [], "random": ["--drive", "random"]}
+    variants = config_of(folder)["variants"]
+    assert {name: of["words"] for name, of in variants.items()} == {
+        "knn": [],
+        "random": ["--drive", "random"],
+    }
+    assert variants["random"]["experiment"]["iac"]["drive"] == {"kind": "Random"}
     assert config_of(folder)["words"] == list(SMALL)

@@ -58,7 +58,7 @@ def test_a_killed_worker_is_replaced_and_its_run_goes_on(address: str, tmp_path:
     assert answer.code == 0, answer.err
     assert "2 runs: 2 done." in answer.out.splitlines()  # Ray, too, says what it has seen
     log = (folder / "knn" / "seed-000.log").read_text()
-    assert len(re.findall(r"^\d{4}-.*, process \d+: torch-iac train", log, re.MULTILINE)) == 2
+    assert len(re.findall(r"^\d{4}-.*, process \d+: knn/seed-000", log, re.MULTILINE)) == 2
     alone = train(tmp_path / "alone", *WORDS, steps=steps)
     assert load_run(folder / "knn" / "seed-000").steps == alone.steps
 

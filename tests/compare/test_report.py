@@ -15,6 +15,7 @@ from tensorboard.plugins.hparams.metadata import (
 )
 
 from tests.synthetic_run import write_run
+from torch_iac import Error, Experiment, IACConfig
 from torch_iac.analysis.bootstrap import Estimate
 from torch_iac.compare.plan import Comparison, Variant
 from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
@@ -22,7 +23,10 @@ from torch_iac.compare.report import save_report
 from torch_iac.compare.results import differences_of, measure_rows, measures_of
 from torch_iac.runs.reader import Run, load_run
 
-VARIANTS = (Variant("wide", ()), Variant("narrow", ("--window", "75")))
+VARIANTS = (
+    Variant("wide", Experiment()),
+    Variant("narrow", Experiment(config=IACConfig(window=75)), ("--window", "75")),
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +38,8 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
         if job.name == "narrow/seeds-003-004":
             job.fail("no luck")
         else:
-            own = {"window": 75, "source": "region"} if job.variant == "narrow" else {"window": 150}
-            iac = {**own, "epsilon": 0.1}
-            config = {"command": list(job.words), "iac": iac}
-            write_run(job.folder, len(job.seeds), config=config, shadows={"mlp": 2.0})
+            numbers = {"window": 75, "drive": Error()} if job.variant == "narrow" else {}
+            write_run(job.folder, len(job.seeds), numbers=numbers, shadows={"mlp": 2.0})
     save_report(comparison)
     return comparison
 
@@ -116,7 +118,7 @@ def test_tensorboard_finds_settings_and_measures(comparison: Comparison) -> None
     content = EventAccumulator(str(whole)).Reload().SummaryMetadata(EXPERIMENT_TAG)
     experiment = parse_experiment_plugin_data(content.plugin_data.content)
     names = [info.name for info in experiment.hparam_infos]
-    assert names == ["variant", "seed", "window", "source"]
+    assert names == ["variant", "seed", "drive.kind", "drive.source", "window"]
     assert list(experiment.hparam_infos[3].domain_discrete) == ["none", "region"]
     tags = [info.name.tag for info in experiment.metric_infos]
     assert "measures/error" in tags

@@ -266,19 +266,19 @@ def test_curves_are_means_over_the_line_of_descent(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "window"), [({}, 150), ({"iac": {"window": 26, "inherit_history": True}}, 26)]
+    ("numbers", "window"), [({}, 150), ({"window": 26, "inherit_history": True}, 26)]
 )
 def test_curves_take_the_window_that_the_run_had(
-    tmp_path: Path, config: Mapping[str, Any], window: int
+    tmp_path: Path, numbers: Mapping[str, Any], window: int
 ) -> None:
-    run = load_run(write_run(tmp_path, n_decisions=300, config=config))
+    run = load_run(write_run(tmp_path, n_decisions=300, numbers=numbers))
     root, errors = error_curves(run)[0], run.column("error")[:, 0]
     assert root.mean_errors[200] == pytest.approx(errors[201 - window : 201].mean())
 
 
 def test_without_inheritance_a_curve_is_of_the_regions_own_errors(tmp_path: Path) -> None:
-    config = {"iac": {"window": 50, "inherit_history": False}}
-    run = load_run(write_run(tmp_path, n_decisions=900, config=config))
+    numbers = {"window": 50, "inherit_history": False}
+    run = load_run(write_run(tmp_path, n_decisions=900, numbers=numbers))
     errors, regions = run.column("error")[:, 0], run.column("region")[:, 0]
     curves = error_curves(run)
     assert len(curves) > 4

@@ -9,6 +9,7 @@ from playwright.sync_api import Page, expect
 
 from scripts.docs.draw_tensorboard import CHART, PATIENCE, browse, find_browser, open_tab, serve
 from tests.synthetic_run import ZONES, write_run
+from torch_iac import Experiment, IACConfig
 from torch_iac.compare.plan import Comparison, Variant
 from torch_iac.compare.report import save_report
 from torch_iac.runs.tensorboard_images import MAP_PIXELS
@@ -42,11 +43,11 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     """Two variants with a made-up run each, beside one run of somebody else's."""
     folder = tmp_path_factory.mktemp("runs")
     write_run(folder / "alone", shadows={"mlp": 2.0}, meta=True)
-    variants = (Variant("wide", ()), Variant("narrow", ("--window", "75")))
+    narrow = Experiment(config=IACConfig(window=75))
+    variants = (Variant("wide", Experiment()), Variant("narrow", narrow, ("--window", "75")))
     comparison = Comparison(folder / "windows", variants, n_seeds=1)
     for job in comparison.jobs():
-        iac = {"window": 75 if job.variant == "narrow" else 150, "epsilon": 0.1}
-        write_run(job.folder, config={"command": list(job.words), "iac": iac})
+        write_run(job.folder, numbers={"window": 75 if job.variant == "narrow" else 150})
     save_report(comparison)
     return comparison
 

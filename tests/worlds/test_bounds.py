@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from torch_iac.worlds.bounds import bounds_of, found_bounds, parse_bounds
+from torch_iac.worlds.bounds import Bounds, bounds_of, found_bounds, parse_bounds
 
 Sensors = NDArray[np.float64]
 INF = np.inf
@@ -47,6 +47,12 @@ def vector(maker: Callable[[], gym.Env[Sensors, Sensors]] = Open) -> SyncVectorE
     return SyncVectorEnv([maker], autoreset_mode=AutoresetMode.SAME_STEP)
 
 
+def bounds_for(
+    given: dict[str, tuple[float, float]], maker: Callable[[], gym.Env[Sensors, Sensors]] = Open
+) -> Bounds | None:
+    return bounds_of(vector(maker), given, N_DECISIONS, lambda: vector(maker))
+
+
 def test_found_bounds_are_a_tenth_outside_of_what_was_read() -> None:
     low, high = found_bounds(vector(), N_DECISIONS)
     span = 7.0 - -2.0  # the last reading of an episode counts too
@@ -70,13 +76,13 @@ def test_the_same_bounds_are_found_every_time() -> None:
 
 
 def test_bounds_that_a_world_has_are_its_own() -> None:
-    assert bounds_of(vector(lambda: Open(Box(-9.0, 9.0, (2,)))), {}, N_DECISIONS) is None
+    assert bounds_for({}, lambda: Open(Box(-9.0, 9.0, (2,)))) is None
 
 
 @pytest.mark.parametrize("none", [INF, float(np.finfo(np.float32).max)])
 def test_only_what_is_open_is_found(none: float) -> None:
     box = Box(np.array([-100.0, -none]), np.array([none, none]), dtype=np.float64)
-    bounds = bounds_of(vector(lambda: Open(box)), {}, N_DECISIONS)
+    bounds = bounds_for({}, lambda: Open(box))
     assert bounds is not None
     assert bounds.found == ("sensor_0", "sensor_1")
     assert bounds.box.low.tolist() == [-100.0, 0.0]
@@ -84,7 +90,7 @@ def test_only_what_is_open_is_found(none: float) -> None:
 
 
 def test_given_bounds_come_first() -> None:
-    bounds = bounds_of(vector(), {"sensor_0": (-1.0, 1.0), "sensor_1": (2.0, 4.0)}, N_DECISIONS)
+    bounds = bounds_for({"sensor_0": (-1.0, 1.0), "sensor_1": (2.0, 4.0)})
     assert bounds is not None
     assert bounds.box.low.tolist() == [-1.0, 2.0]
     assert bounds.box.high.tolist() == [1.0, 4.0]
@@ -93,28 +99,29 @@ def test_given_bounds_come_first() -> None:
 
 def test_bounds_must_be_of_a_sensor() -> None:
     with pytest.raises(ValueError, match="bounds must be of sensor_0, sensor_1, got smell"):
-        bounds_of(vector(), {"smell": (0.0, 1.0)}, N_DECISIONS)
+        bounds_for({"smell": (0.0, 1.0)})
 
 
 def test_what_lies_beyond_is_read_as_the_bound_also_when_an_episode_ends() -> None:
-    bounds = bounds_of(vector(), {"sensor_0": (-1.0, 1.0)}, N_DECISIONS)
+    bounds = bounds_for({"sensor_0": (-1.0, 1.0)})
     assert bounds is not None
-    world = vector(lambda: bounds.clips(Open()))
-    world.reset(seed=[0])
+    world = bounds.clip(vector())
+    world.reset(seed=0)
     ends: list[float] = []
     for push in (0.9, 0.25, *[-0.9] * 8):
         sensors, *_, info = world.step(np.array([[push]], np.float32))
-        ends.append(float(info.get("final_obs", sensors)[0][0]))
+        last: Any = info.get("final_obs", sensors)
+        ends.append(float(last[0][0]))
     assert ends == [1.0, 0.5, *[-1.0] * 7, 1.0]
 
 
 def test_no_number_is_not_taken_for_a_bound() -> None:
     """So that the agent still refuses it."""
-    bounds = bounds_of(vector(), {}, N_DECISIONS)
+    bounds = bounds_for({})
     assert bounds is not None
-    world = bounds.clips(Open(still=np.nan))
+    world = bounds.clip(vector(lambda: Open(still=np.nan)))
     sensors, _ = world.reset(seed=0)
-    assert np.isnan(sensors[1])
+    assert np.isnan(sensors[0][1])
 
 
 def test_bounds_are_written_by_name() -> None:

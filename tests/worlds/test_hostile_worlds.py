@@ -16,9 +16,9 @@ from gymnasium import spaces
 from gymnasium.vector import SyncVectorEnv
 from numpy.typing import NDArray
 
-from tests.cli.test_memory_estimate import tensor_bytes
+from tests.test_memory_estimate import tensor_bytes
 from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace
-from torch_iac.cli.memory_estimate import memory_needed
+from torch_iac.memory_estimate import memory_needed
 from torch_iac.runs.reader import load_run
 from torch_iac.runs.recorder import Recorder
 from torch_iac.training import train

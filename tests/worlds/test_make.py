@@ -64,11 +64,8 @@ def pendulum(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_a_public_world_writes_a_whole_run_folder(pendulum: Run) -> None:
-    assert pendulum.config["world"] == {
-        "name": "Pendulum-v1",
-        "id": "Pendulum-v1",
-        "options": {"max_episode_steps": 10, "g": 9.81},
-    }
+    assert pendulum.config["world"] == "Pendulum-v1"
+    assert pendulum.config["world_options"] == {"max_episode_steps": 10, "g": 9.81}
     assert pendulum.n_decisions == 60
     assert pendulum.zone_names == ()
     assert [outcome.name for outcome in pendulum.space.outcomes] == [
@@ -114,7 +111,7 @@ def test_the_report_of_a_world_without_zones_speaks_of_none(tmp_path: Path) -> N
 def test_an_action_can_be_held(tmp_path: Path) -> None:
     words = ["--world", "Pendulum-v1", "--hold", "2", *SPLITTING]
     run = train(tmp_path / "a", *words, steps=30)
-    assert run.config["world"]["hold"] == 2
+    assert run.config["hold"] == 2
     speed, cos, sin = (run.column(f"sensor/sensor_{i}")[:, 0] for i in (2, 0, 1))
     torque, next_speed = run.column("action/action_0")[:, 0], run.column("outcome/sensor_2")[:, 0]
     angle = np.arctan2(sin, cos)
@@ -143,7 +140,7 @@ def test_a_world_of_ones_own_is_found_in_its_module(
     with caplog.at_level(logging.INFO):
         run = train(tmp_path / "a", *words, "--bounds-from", "200", steps=60)
     assert caplog.messages == ["Bounds for 1 of 1 sensors were found in 200 random decisions"]
-    assert run.config["world"]["bounds"] == {"given": [], "found": ["echo"]}
+    assert run.config["bounds"] == {"given": [], "found": ["echo"]}
     (echo,) = run.space.sensors
     assert (echo.low, echo.high) == pytest.approx((-12, 12), abs=0.5)
     assert (run.column("outcome/echo") == 10 * run.column("action/push")).all()
@@ -154,7 +151,7 @@ def test_given_bounds_clip_and_the_report_says_how_often(custom: str, tmp_path: 
     answer = typed("train", "--steps", "200", "--out", tmp_path / "a", *words)
     assert answer.code == 0, answer.err
     run = load_run(tmp_path / "a")
-    assert run.config["world"]["bounds"] == {"given": ["echo"], "found": []}
+    assert run.config["bounds"] == {"given": ["echo"], "found": []}
     pushes = run.column("action/push")
     assert (run.column("outcome/echo") == np.clip(pushes, -0.5, 0.5)).all()
     said = re.search(r"At their bounds or beyond: echo (\d+)%; see --sensor-bounds\.", answer.out)
@@ -198,7 +195,7 @@ def test_a_run_is_named_by_the_time_and_its_world(
 def test_robots_in_mujoco_live_as_each_would_alone(tmp_path: Path) -> None:
     words = ["--world", "Reacher-v5", *SPLITTING]
     together = train(tmp_path / "both", "--agents", "2", "--seed", "7", *words, steps=60)
-    assert len(together.config["world"]["bounds"]["found"]) == 10
+    assert len(together.config["bounds"]["found"]) == 10
     for agent, seed in enumerate(together.seeds):
         alone = train(tmp_path / str(seed), "--seed", str(seed), *words, steps=60)
         assert alone.space == together.space  # bounds are the world's, not the robot's
@@ -246,11 +243,11 @@ KINDS = "toyroom, kinematic or a world of Gymnasium such as Pendulum-v1"
         ),
         (
             "--world kinematic --sensor-bounds toy_distance=0,1",
-            "hold and sensor_bounds must be left to worlds that are single, got kinematic",
+            "sensor_bounds must be left to worlds that are single, got ToyRoomKinematic",
         ),
         (
             "--world kinematic --hold 2",
-            "hold and sensor_bounds must be left to worlds that are single, got kinematic",
+            "hold must be left to worlds that are single, got kinematic",
         ),
         ("--hold 0", "hold must lie in [1, 1,000], got 0 (see torch-iac train --help)"),
         (

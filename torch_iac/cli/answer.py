@@ -54,7 +54,7 @@ def report_of(run: Run) -> str:
 
 def _clipped(run: Run) -> dict[str, float]:
     """Return the sensors that were often clipped, each with its share of the decisions."""
-    names = [name for of in run.config["world"].get("bounds", {}).values() for name in of]
+    names = [name for of in run.config.get("bounds", {}).values() for name in of]
     clipped = [sensor for sensor in run.space.sensors if sensor.name in names]
     shares = {}
     for sensor in clipped:

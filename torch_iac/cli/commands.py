@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,9 @@ import tyro
 
 from torch_iac.internal.validation import check_count
 from torch_iac.replay.length import N_DECISIONS
+
+MAX_DIGITS = 4_000
+"""Python itself reads no longer whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,48 @@ def parse(words: Sequence[str]) -> Options:
         prog=f"torch-iac {name}",
         args=split_at_dashes(options)[0] if name == "compare" else options,
         config=(tyro.conf.AvoidSubcommands,),
+        registry=numbers_registry(),
     )
+
+
+def numbers_registry() -> tyro.constructors.ConstructorRegistry:
+    """Return how numbers are read: whole ones also as 1e4 and 10_000."""
+    registry = tyro.constructors.ConstructorRegistry()
+
+    @registry.primitive_rule
+    def whole_numbers(
+        info: tyro.constructors.PrimitiveTypeInfo,
+    ) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
+        if info.type is not int:
+            return None
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="INT",
+            instance_from_str=lambda words: whole_number(words[0]),
+            is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
+            str_from_instance=lambda number: [str(number)],
+        )
+
+    return registry
+
+
+def whole_number(text: str) -> int:
+    """Return the whole number that a text such as 10000, 10_000 or 1e4 is.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        number = Decimal("NaN")
+    if not number.is_finite() or number.adjusted() > MAX_DIGITS or number != number.to_integral():
+        raise ValueError(f"must be a whole number, got {text:.80}")
+    return int(number)
 
 
 def split_at_dashes(words: Sequence[str]) -> tuple[list[str], list[str]]:

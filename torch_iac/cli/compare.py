@@ -1,15 +1,17 @@
 """The command `torch-iac compare`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from shlex import split
+from typing import Any
 
 import gymnasium as gym
 
 from torch_iac.cli.commands import Compare
-from torch_iac.cli.exits import StoppedError, stopping
-from torch_iac.cli.options import settings_of
+from torch_iac.cli.exits import StoppedBySignalError
+from torch_iac.cli.options import experiment_of
 from torch_iac.cli.parser_errors import leave
-from torch_iac.cli.train import go_on
-from torch_iac.compare.executors import carry_out, on_processes, on_ray
+from torch_iac.compare.executors import carry_out, on_processes, on_ray, run_experiment
 from torch_iac.compare.plan import (
     PLAN,
     Comparison,
@@ -17,17 +19,22 @@ from torch_iac.compare.plan import (
     Variant,
     load_comparison,
     part_of,
-    read_variants,
     tally_states,
 )
+from torch_iac.experiment import Experiment
+from torch_iac.internal.files import parse_json
+from torch_iac.internal.stop_signals import stopping
 from torch_iac.internal.validation import check_count
+
+OWN_WORDS = ("--seed", "--agents", "--out")
+"""What a comparison itself says to each of its runs."""
 
 
 def compare(asked: Compare, words: Sequence[str]) -> None:
     """Carry `torch-iac compare` out; `words` are options for all runs.
 
     Raises:
-        StoppedError: It was asked to stop, and the runs have saved themselves.
+        StoppedBySignalError: It was asked to stop, and the runs have saved themselves.
         ValueError: Something of it is refused; the message says the rule and the value.
     """
     comparison = _comparison(asked, words)
@@ -39,14 +46,87 @@ def compare(asked: Compare, words: Sequence[str]) -> None:
 def _comparison(asked: Compare, words: Sequence[str]) -> Comparison:
     """Return what the folder holds, if anything, and what is asked for besides."""
     check_count("processes", asked.processes)
-    given = read_variants(asked.variants) if asked.variants else ()
-    given += tuple(Variant.from_text(text) for text in asked.variant)
+    check_words(words, "a comparison")
+    described = _in_file(asked.variants) if asked.variants else {}
+    for text in asked.variant:
+        name, colon, its_words = text.partition(":")
+        if not colon:
+            raise ValueError(f"a variant must be written NAME: WORDS, got {text}")
+        if name.strip() in described:
+            raise ValueError(f"a variant's name must stand once, got {name.strip()} again")
+        described[name.strip()] = _split(its_words, f"variant {name.strip()}")
     numbers = {"n_seeds": asked.seeds, "seed": asked.seed, "block": asked.block}
     folder = asked.folder.absolute()  # where the workers are, another may be the present one
     if (folder / PLAN).exists():
-        return load_comparison(folder).grown(given, words, **numbers)
-    known = {name: number for name, number in numbers.items() if number is not None}
-    return Comparison(folder, given, tuple(words), **known)
+        known = load_comparison(folder)
+        for_all = tuple(words) or known.words
+        return known.grown(_variants(described, for_all), words, **numbers)
+    given: dict[str, Any] = {name: number for name, number in numbers.items() if number is not None}
+    return Comparison(folder, _variants(described, words), tuple(words), **given)
+
+
+def _variants(
+    described: Mapping[str, Sequence[str]], for_all: Sequence[str]
+) -> tuple[Variant, ...]:
+    """Return the variants that words describe.
+
+    Raises:
+        ValueError: One is refused; the message names it.
+    """
+    variants = []
+    for name, words in described.items():
+        check_words(words, f"variant {name}")
+        variant = Variant(name, Experiment(), tuple(words))  # refuses the name
+        try:
+            experiment = experiment_of([*for_all, *words])
+        except ValueError as error:
+            raise ValueError(f"variant {name}: {error}") from None
+        variants.append(Variant(name, experiment, variant.words))
+    return tuple(variants)
+
+
+def _in_file(path: Path) -> dict[str, Sequence[str]]:
+    """Return the words of variants in a JSON file: under each name, as a list or as one text.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It holds something else.
+    """
+    try:
+        content = parse_json(path.read_bytes())
+        if not isinstance(content, Mapping):
+            raise ValueError(f"variants must be names, each with words, got {str(content)[:80]}")
+        return {name: _words(name, of) for name, of in content.items()}
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+
+
+def _words(name: str, of: Any) -> Sequence[str]:
+    if isinstance(of, str):
+        return _split(of, f"variant {name}")
+    if not isinstance(of, Sequence) or not all(isinstance(word, str) for word in of):
+        raise ValueError(f"the words of {name} must be a list of texts, got {str(of)[:80]}")
+    return of
+
+
+def check_words(words: Sequence[str], whose: str) -> None:
+    """Refuse words that a comparison itself says to each of its runs.
+
+    Raises:
+        ValueError: One is among them.
+    """
+    for word in words:
+        if word.partition("=")[0] in OWN_WORDS:
+            raise ValueError(
+                f"{whose} must leave {', '.join(OWN_WORDS)} to torch-iac compare, got {word}"
+            )
+
+
+def _split(text: str, whose: str) -> tuple[str, ...]:
+    try:
+        return tuple(split(text))
+    except ValueError as error:  # such as a quotation that does not end
+        raise ValueError(f"the words of {whose} cannot be read ({error}): {text.strip()}") from None
 
 
 def _carry_out(asked: Compare, comparison: Comparison) -> None:
@@ -55,14 +135,14 @@ def _carry_out(asked: Compare, comparison: Comparison) -> None:
     sizes = _sizes(jobs, elsewhere=asked.ray is not None)
     open_jobs = [job for job in _part(jobs, asked) if job.state != "done"]
     if asked.ray is None:
-        crew = on_processes(open_jobs, go_on, asked.processes)
+        crew = on_processes(open_jobs, run_experiment, asked.processes)
     else:
-        crew = on_ray(open_jobs, go_on, asked.ray, asked.gpus)
+        crew = on_ray(open_jobs, run_experiment, asked.ray, asked.gpus)
     comparison.save()
     with stopping() as stop:
         is_over = carry_out({job: sizes[job] for job in open_jobs}, crew, stop)
     if not is_over:
-        raise StoppedError(
+        raise StoppedBySignalError(
             stop.signals[0], f"stopped; go on with: torch-iac compare {asked.folder}"
         )
 
@@ -81,11 +161,11 @@ def _sizes(jobs: Sequence[Job], elsewhere: bool) -> dict[Job, int]:
     steps = {}
     for job in {job.variant: job for job in jobs}.values():
         try:
-            settings = settings_of(job.words[2:])
-            settings.check(elsewhere=elsewhere)
+            experiment = Experiment.from_json(job.content)
+            experiment.check(elsewhere=elsewhere)
         except (ValueError, gym.error.Error) as error:
             raise ValueError(f"variant {job.variant}: {error}") from None
-        steps[job.variant] = settings.steps
+        steps[job.variant] = experiment.steps
     for job in jobs:
         job.check()
     return {job: steps[job.variant] * len(job.seeds) for job in jobs}

@@ -7,11 +7,11 @@ import gymnasium as gym
 
 from torch_iac.cli.commands import Compare, Figures, Options, Resume, split_at_dashes
 from torch_iac.cli.compare import compare
-from torch_iac.cli.exits import StoppedError, one_line
+from torch_iac.cli.exits import StoppedBySignalError, one_line
 from torch_iac.cli.options import Train
 from torch_iac.cli.parser_errors import leave
 from torch_iac.cli.replay import replay
-from torch_iac.cli.train import begin, resume
+from torch_iac.cli.train import resume, train
 
 
 def draw(asked: Figures) -> None:
@@ -32,7 +32,7 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         if isinstance(asked, Train):
-            begin(asked, ["torch-iac", *words])
+            train(asked, ["torch-iac", *words])
         elif isinstance(asked, Compare):
             compare(asked, split_at_dashes(words)[1])
         elif isinstance(asked, Resume):
@@ -43,7 +43,7 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
             replay(asked)
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
         leave(2, one_line(error))
-    except StoppedError as stopped:
+    except StoppedBySignalError as stopped:
         leave(128 + stopped.signal, str(stopped))
     except KeyboardInterrupt as interrupt:
         leave(130, str(interrupt) or "interrupted")

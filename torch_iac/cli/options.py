@@ -1,19 +1,19 @@
-"""What `torch-iac train` can be told: its options, their defaults, and what follows from them."""
+"""The options of `torch-iac train`, and the experiment that they describe."""
 
 import io
-import logging
-import platform
 from argparse import ArgumentParser
-from collections.abc import Mapping, Sequence
-from contextlib import closing, redirect_stdout
-from dataclasses import dataclass, field, fields, replace
-from importlib import metadata
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import torch
 import tyro
+from torch import nn
 
+from torch_iac.cli.commands import numbers_registry
 from torch_iac.cli.parser_errors import plain_refusals
 from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives.baselines import Error, Improvement, Novelty, Random
@@ -26,21 +26,16 @@ from torch_iac.drives.learning_progress import (
     Progress,
 )
 from torch_iac.drives.protocol import Drive
+from torch_iac.experiment import SEEDS, Experiment, load_experiment
 from torch_iac.experts.knn import KNNExperts
-from torch_iac.experts.network import MLPExperts
+from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
-from torch_iac.internal.devices import available_device
-from torch_iac.internal.processor import processor
+from torch_iac.internal.parts import import_object, make_importable
 from torch_iac.internal.validation import check_count
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
-from torch_iac.runs.reader import Run
-from torch_iac.space import SensorimotorSpace
-from torch_iac.toy_room import OUTCOMES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY
-from torch_iac.worlds.bounds import Bounds, bounds_of, parse_bounds
-from torch_iac.worlds.make import make_world
+from torch_iac.worlds.bounds import parse_bounds
 from torch_iac.worlds.options import parse_options
-from torch_iac.worlds.vector import World
 
 EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
 """What the kinds of experts are called."""
@@ -62,31 +57,16 @@ CHOICES: dict[str, type[Choice]] = {
     "softmax": Softmax,
 }
 """What the choices are called."""
-ExpertsName = Literal["knn", "mlp"]
-ChoiceName = Literal["greedy", "proportional", "softmax"]
-DriveName = Literal[
-    "progress",
-    "meta_progress",
-    "absolute_progress",
-    "global_progress",
-    "error",
-    "novelty",
-    "improvement",
-    "curriculum",
-    "random",
-]
-"""The same names, for the parser."""
 
-SEEDS = 2**32
-"""Seeds lie below; every random number generator takes them."""
+KINDS: dict[str, tuple[Mapping[str, type], type]] = {
+    "experts": (EXPERTS, Experts),
+    "drive": (DRIVES, Drive),
+    "choice": (CHOICES, Choice),
+}
+"""The parts that have a name: the library's own, and what any other must be."""
 
-MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
-"""Beyond use: a decision, or what comes before the first, would take minutes."""
-
-PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "pybullet-arm64", "mujoco")
-"""What config.json tells the versions of."""
-
-log = logging.getLogger(__name__)
+MAX_AGENTS = 10**9
+"""Beyond use, and what their seeds as a list still allow to be refused."""
 
 Plain = tyro.conf.arg(name="")
 """The options of a part are named without the part's own name before theirs."""
@@ -94,16 +74,25 @@ Plain = tyro.conf.arg(name="")
 
 @dataclass(frozen=True, kw_only=True)
 class Settings(IACConfig):
-    """The engine's numbers, as options of the command; `Any` is what the default is."""
+    """The numbers of the algorithm, as options of the command; `Any` is what the default is."""
 
-    experts: Annotated[Any, Plain] = field(default_factory=KNNExperts)
+    experts: Any = field(default_factory=KNNExperts)
     """What predicts the outcome in each region."""
-    drive: Annotated[Any, Plain] = field(default_factory=Progress)
+    network: Annotated[Any, tyro.conf.arg(name="experts")] = None
+    """The network of a user's own in each region, if its factory has fields."""
+    drive: Any = field(default_factory=Progress)
     """What a candidate action is worth."""
-    choice: Annotated[Any, Plain] = field(default_factory=Greedy)
+    choice: Any = field(default_factory=Greedy)
     """Which candidate is taken, given what each is worth."""
     shadows: tyro.conf.Suppress[Mapping[str, Experts]] = field(default_factory=dict)
     """No option here: `Train` has it."""
+
+    def config(self, shadows: Mapping[str, Experts]) -> IACConfig:
+        """Return the config that they describe."""
+        numbers = {f.name: getattr(self, f.name) for f in fields(IACConfig)}
+        if self.network is not None:
+            numbers["experts"] = replace(self.experts, module=self.network)
+        return IACConfig(**{**numbers, "shadows": shadows or numbers["shadows"]})
 
 
 @dataclass(frozen=True)
@@ -123,14 +112,19 @@ class Train:
     Pendulum-v1 or module:id."""
     preset: Literal["iac2004", "iac2007"] = "iac2004"
     """Which paper's numbers the options start from; they are the defaults shown here."""
-    experts: ExpertsName = "knn"
-    """What predicts in each region; its own options are among those below."""
-    shadows: tuple[ExpertsName, ...] = ()
+    config: Path | None = None
+    """A JSON file with an experiment, such as config.json of a run, that the options start from."""
+    experts: str = "knn"
+    """What predicts in each region: knn, mlp, or module:Name, experts or a network of your own. Its
+    options are among those below."""
+    shadows: tuple[str, ...] = ()
     """Other experts, which predict and learn on the same stream without any influence."""
-    drive: DriveName = "progress"
-    """What the robot wants; its own options are among those below."""
-    choice: ChoiceName = "greedy"
-    """Which candidate action is taken, given what each is worth."""
+    drive: str = "progress"
+    """What the robot wants: progress, meta_progress, absolute_progress, global_progress, error,
+    novelty, improvement, curriculum, random, or module:Name, a drive of your own."""
+    choice: str = "greedy"
+    """Which candidate action is taken, given what each is worth: greedy, proportional, softmax, or
+    module:Name."""
     mp: bool = True
     """Whether the meta-predictor MP learns what errors to expect; some drives need it."""
     steps: int = 10_000
@@ -160,195 +154,156 @@ class Train:
     """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
     """Every decision of every robot is recorded if that makes at most so many rows, of about 65
-    bytes each on disk; otherwise those of the first robots only, and tallies of all."""
+    bytes each on disk; otherwise those of the first robots only, and window sums of all."""
     recorded_agents: int = 64
     """How many those first robots are."""
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
     iac: Annotated[Settings, Plain] = field(default_factory=Settings)
-    """The engine's numbers."""
+    """The numbers of the algorithm."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "agents", "log_every", "checkpoint_every", "recorded_agents"):
-            check_count(name, getattr(self, name))
-        for name, most in (("hold", MOST_HOLD), ("bounds_from", MOST_BOUNDS_FROM)):
-            if not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"{name} must lie in [1, {most:,}], got {getattr(self, name)}")
-        check_count("recorded_rows", self.recorded_rows, least=0)
+        check_count("agents", self.agents)
+        if self.agents > MAX_AGENTS:
+            raise ValueError(f"agents must lie in [1, {MAX_AGENTS:,}], got {self.agents:,}")
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
+        self.experiment()  # refuses what is out of its range
 
-    def check(self, elsewhere: bool = False) -> None:
-        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere.
-
-        Args:
-            elsewhere: Whether the run will be on another machine, with devices of its own.
+    def experiment(self) -> Experiment:
+        """Return the experiment that the options describe.
 
         Raises:
-            ValueError: It is refused.
+            ValueError: A number is out of its range.
         """
-        settings = replace(self, device="cpu") if elsewhere else self
-        settings.space(settings.bounds())
-
-    def bounds(self) -> Bounds | None:
-        """Return what the sensors are clipped to; None if the world has bounds of its own.
-
-        The world is begun once: one that cannot be is known before there is a run.
-
-        Raises:
-            ValueError: The world or the bounds that were given are refused.
-        """
-        with closing(self.make_world(1)) as world:
-            world.reset(seed=self.seed)
-            return bounds_of(world, parse_bounds(self.sensor_bounds), self.bounds_from)
-
-    def space(self, bounds: Bounds | None) -> SensorimotorSpace:
-        """Return what the robots do, sense and predict, from a single world with these bounds.
-
-        Raises:
-            ValueError: The world is refused, or no space can be made of it.
-        """
-        outcomes = self.outcomes or OUTCOMES.get(self.world, ("all",))
-        with closing(self.make_world(1, bounds)) as world:
-            return SensorimotorSpace.from_env(world, "all" if outcomes == ("all",) else outcomes)
-
-    def make_world(self, n_worlds: int, bounds: Bounds | None = None) -> World:
-        """Return as many worlds as asked for, with these bounds for sensors.
-
-        Raises:
-            ValueError: The world or one of its options is refused.
-        """
-        options, device = self.parsed_options(), self.torch_device()
-        return make_world(self.world, n_worlds, options, device, self.hold, bounds)
-
-    def world_identity(self) -> dict[str, Any]:
-        """Return what makes the world what it is."""
-        held = {"hold": self.hold} if self.hold > 1 else {}
-        return {"name": self.world, "options": self.parsed_options(), **held}
-
-    def config(self) -> IACConfig:
-        """Return the engine's numbers, with the shadows."""
-        return replace(self.iac, shadows={name: EXPERTS[name]() for name in self.shadows})
-
-    def torch_device(self) -> torch.device:
-        """Return the device by its name; auto is cuda if there is one.
-
-        Raises:
-            ValueError: This machine has no such device.
-        """
-        name = self.device
-        if name == "auto":
-            name = "cuda" if torch.cuda.is_available() else "cpu"
-        return available_device(name)
-
-    def parsed_options(self) -> dict[str, Any]:
-        """Return the arguments of the world by name.
-
-        Raises:
-            ValueError: One is not written name=value.
-        """
-        return parse_options(self.world_options)
-
-    def is_exact(self) -> bool:
-        """Return whether the run is the same to the bit on every processor of its architecture.
-
-        So it is on the CPU in the toy rooms, with nearest neighbours and with multi-layer
-        perceptrons; a world or a network of a user's may round otherwise.
-        """
-        of_ours = {EXPERTS[self.experts], *(EXPERTS[name] for name in self.shadows)}
-        return (
-            self.torch_device().type == "cpu"
-            and self.world in WORLDS
-            and of_ours <= {KNNExperts, MLPExperts}
+        names = {f.name for f in fields(Experiment)} & {f.name for f in fields(self)}
+        return Experiment(
+            **{name: getattr(self, name) for name in names - {"config", *_TEXTS}},
+            config=self.iac.config({name: part("experts", name) for name in self.shadows}),
+            seeds=range(self.seed, self.seed + self.agents),
+            world_options=parse_options(self.world_options),
+            sensor_bounds=parse_bounds(self.sensor_bounds),
         )
 
-    def n_recorded(self) -> int:
-        """Return of how many agents every decision is recorded; say so if not of all."""
-        n_rows = self.agents * self.steps
-        if n_rows <= self.recorded_rows or self.agents <= self.recorded_agents:
-            return self.agents
-        log.info(
-            "Decisions are recorded of the first %d robots only, tallies of all: %s rows would be "
-            "more than --recorded-rows %s",
-            self.recorded_agents,
-            f"{n_rows:,}",
-            f"{self.recorded_rows:,}",
-        )
-        return self.recorded_agents
 
-    def description(self, words: Sequence[str], bounds: Bounds | None) -> dict[str, Any]:
-        """Return what `config.json` says of the command; `words` are what the user typed."""
-        world = {**self.world_identity(), "id": WORLDS.get(self.world, self.world)}
-        if bounds is not None:
-            world["bounds"] = {"given": bounds.given, "found": bounds.found}
-        return {
-            "command": list(words),
-            "versions": {"python": platform.python_version(), **_versions()},
-            "processor": processor(),
-            "world": world,
-            "steps": self.steps,
-            "device": self.device,
-            "preset": self.preset,
-            "iac": self.config().to_json(),
-        }
+_TEXTS = ("world_options", "sensor_bounds")
+"""What stands as texts in `Train` and as values in `Experiment`."""
 
 
-def settings_of(arguments: Sequence[str]) -> Train:
-    """Return what `torch-iac train` makes of its options, without a word on the screen.
+def experiment_of(words: Sequence[str]) -> Experiment:
+    """Return the experiment that options of `torch-iac train` describe, without any output.
 
     Raises:
         ValueError: They are refused.
     """
     try:
         with redirect_stdout(io.StringIO()), plain_refusals():
-            return parse_train(arguments)
+            return parse_train(words).experiment()
     except SystemExit:
         raise ValueError("words must be options of torch-iac train, got --help") from None
 
 
-def parse_train(arguments: Sequence[str]) -> Train:
+def parse_train(words: Sequence[str]) -> Train:
     """Return what `torch-iac train` makes of its options; help and refusals end the program."""
     return tyro.cli(
         Train,
-        default=_defaults(arguments),
+        default=_defaults(words),
         prog="torch-iac train",
-        args=arguments,
-        config=(tyro.conf.AvoidSubcommands,),
+        args=words,
+        config=(tyro.conf.AvoidSubcommands, tyro.conf.SuppressFixed),
+        registry=numbers_registry(),
     )
 
 
-def _versions() -> dict[str, str]:
-    """Return the versions of what a run depends on, as far as it is installed."""
-    return {name: found.version for name in PACKAGES for found in metadata.distributions(name=name)}
+def part(kind: str, name: str) -> Any:
+    """Return a part of a config, with its default numbers, by its name.
 
-
-def _defaults(arguments: Sequence[str]) -> Train:
-    """Return what the choice of preset and of parts makes of the other options."""
-    parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    for name in ("preset", "experts", "drive", "choice"):
-        parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
-    parser.add_argument("--no-mp", action="store_true")
-    chosen = vars(parser.parse_known_args(arguments)[0])
-    preset = PRESETS.get(chosen["preset"] or Train.preset, IACConfig())
-    numbers = {f.name: getattr(preset, f.name) for f in fields(preset)}
-    if not chosen["no_mp"]:
-        numbers["meta"] = MetaPredictor()
-    for name, kinds in (("experts", EXPERTS), ("drive", DRIVES), ("choice", CHOICES)):
-        if chosen[name] in kinds:
-            numbers[name] = kinds[chosen[name]]()
-    if "improvement" in numbers["drive"].needs:
-        numbers["improvement"] = ImprovementPredictor()
-    return Train(iac=Settings(**numbers))
-
-
-def words_of(run: Run) -> list[str]:
-    """Return the command that a run was begun with.
+    Args:
+        kind: Experts, drive or choice.
+        name: One of the library's own, or `module:Name`: a class of a user's own; for experts also
+            a module or a factory of one, which is then in each region.
 
     Raises:
-        ValueError: It was not begun by this command.
+        ValueError: There is none of that name, or it is something else.
     """
-    words = run.config.get("command")
-    if not isinstance(words, list) or words[:2] != ["torch-iac", "train"]:
-        raise ValueError(f"{run.folder} must be a run of torch-iac train, got {words}")
-    return [str(word) for word in words]
+    known, protocol = KINDS[kind]
+    if name in known:
+        return known[name]()
+    if ":" not in name:
+        near = get_close_matches(name, known, 1)
+        perhaps = f"; perhaps you meant {near[0]}" if near else ""
+        raise ValueError(f"{kind} must be {', '.join(known)} or module:Name, got {name}{perhaps}")
+    make_importable(Path.cwd())
+    found = import_object(name, kind)
+    if kind == "experts" and not hasattr(found, "pool"):
+        is_factory = is_dataclass(found) and not issubclass(found, nn.Module)  # type: ignore[arg-type]
+        return NetworkExperts(module=_made(found, kind, name) if is_factory else found)
+    made = _made(found, kind, name)
+    if not isinstance(made, protocol):
+        raise ValueError(f"{kind} must have what {protocol.__name__} has, got {name}")
+    return made
+
+
+def _made(found: Callable[[], Any], kind: str, name: str) -> Any:
+    """Return an object of a class with its default numbers."""
+    try:
+        return found() if isinstance(found, type) else found
+    except TypeError as error:
+        raise ValueError(
+            f"{kind} must have defaults for all fields, got {name} ({error})"
+        ) from None
+
+
+def _defaults(words: Sequence[str]) -> Train:
+    """Return what the choice of a file, a preset and of parts makes of the other options."""
+    parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    for name in ("config", "preset", *KINDS):
+        parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
+    parser.add_argument("--no-mp", action="store_true")
+    chosen = vars(parser.parse_known_args(words)[0])
+    start = Train() if chosen["config"] is None else _from_file(Path(chosen["config"]))
+    numbers = {f.name: getattr(start.iac, f.name) for f in fields(Settings)}
+    if chosen["preset"] in PRESETS:
+        preset = PRESETS[chosen["preset"]]
+        numbers |= {f.name: getattr(preset, f.name) for f in fields(preset)}
+    if chosen["no_mp"]:
+        numbers["meta"] = None
+    for name in KINDS:
+        if chosen[name] is not None:
+            numbers[name] = part(name, chosen[name])
+            numbers["network"] = None if name == "experts" else numbers["network"]
+    experts = numbers["experts"]
+    if isinstance(experts, NetworkExperts) and is_dataclass(experts.module):
+        numbers["network"] = experts.module
+    if "meta" in numbers["drive"].needs and numbers["meta"] is None and not chosen["no_mp"]:
+        numbers["meta"] = MetaPredictor()
+    if "improvement" in numbers["drive"].needs and numbers["improvement"] is None:
+        numbers["improvement"] = ImprovementPredictor()
+    return replace(start, iac=Settings(**numbers))
+
+
+def _from_file(path: Path) -> Train:
+    """Return the options that describe the experiment in a file.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It holds no experiment, or one whose seeds do not follow each other.
+    """
+    experiment = load_experiment(path)
+    first, n_agents = experiment.seeds[0], len(experiment.seeds)
+    if list(experiment.seeds) != list(range(first, first + n_agents)):
+        raise ValueError(f"seeds in {path} must follow each other, got {experiment.seeds}")
+    names = {f.name for f in fields(Experiment)} & {f.name for f in fields(Train)}
+    config = experiment.config
+    numbers = {f.name: getattr(config, f.name) for f in fields(config)}
+    bounds = experiment.sensor_bounds.items()
+    return Train(
+        **{name: getattr(experiment, name) for name in names - {"config", *_TEXTS}},
+        seed=first,
+        agents=n_agents,
+        world_options=tuple(f"{n}={dumps(of)}" for n, of in experiment.world_options.items()),
+        sensor_bounds=tuple(f"{name}={low!r},{high!r}" for name, (low, high) in bounds),
+        config=path,
+        iac=Settings(**numbers),
+    )

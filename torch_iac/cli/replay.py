@@ -1,9 +1,7 @@
 """The command `torch-iac replay`."""
 
-from dataclasses import replace
-
 from torch_iac.cli.commands import Replay
-from torch_iac.cli.options import settings_of, words_of
+from torch_iac.experiment import experiment_of
 from torch_iac.internal.bars import tqdm
 from torch_iac.replay.scenes import find_stages, relive, stages_at
 from torch_iac.runs.reader import Run, load_run
@@ -55,13 +53,12 @@ def _remake(run: Run) -> tuple[World, World]:
     """
     from torch_iac.replay.frames import ROOM
 
-    settings = settings_of(words_of(run)[2:])
-    world = settings.make_world(1)
+    experiment = experiment_of(run)
+    world = experiment.make_world(1)
     modes = [mode for mode in PICTURE_MODES if mode in world.metadata.get("render_modes", ())]
     if not modes:
         world.close()
         raise ValueError(f"the world of {run.folder} draws no pictures, so it cannot be replayed")
-    size = dict(zip(("width", "height"), ROOM, strict=True)) if settings.world in WORLDS else {}
-    looks = [f"{name}={value}" for name, value in {"render_mode": modes[0], **size}.items()]
-    options = (*settings.world_options, *looks)
-    return world, replace(settings, world_options=options).make_world(1)
+    is_ours = experiment.world in WORLDS
+    size = dict(zip(("width", "height"), ROOM, strict=True)) if is_ours else {}
+    return world, experiment.make_world(1, render_mode=modes[0], **size)

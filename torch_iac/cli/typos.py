@@ -39,6 +39,9 @@ VALUE = re.compile(r"-?\d.*|-|[^-].*|", re.DOTALL)
 PARSERS_OWN = re.compile(r"help|tyro-.+")
 """Options that the parser adds."""
 
+OWN = re.compile(r"(--(experts|drive|choice|shadows)=)?\w[\w.]*:\w")
+"""A part of a user's own, such as `my_module:MyNet`."""
+
 N_SUGGESTIONS, LIKENESS = 3, 0.75
 """How many names are suggested at most, and how like (1 is equal) what was typed they are."""
 
@@ -64,6 +67,8 @@ def check_options(words: Sequence[str]) -> None:
     Raises:
         ValueError: There are such; the message says which were perhaps meant.
     """
+    if any(OWN.match(word) for word in words):
+        return  # parts of a user's own have options of their own
     known = declared_names()
     unknown = list(_unknown(words, known)) if known else []
     if unknown:

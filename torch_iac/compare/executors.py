@@ -13,14 +13,15 @@ from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from datetime import datetime
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
-from shlex import join
 from typing import IO, Any
 
 import torch
 
 from torch_iac.compare.plan import Job
+from torch_iac.experiment import Experiment, StoppedError
 from torch_iac.internal.bars import tqdm
+from torch_iac.internal.parts import make_importable
+from torch_iac.internal.stop_signals import stopping
 
 TICK = 1.0
 """Seconds between two looks at how far the runs are."""
@@ -37,14 +38,29 @@ RETRIES = 3
 SECONDS_TO_ANSWER = 10.0
 """How long a Ray cluster may take to answer at all."""
 
-Live = Callable[[Sequence[str], Path], None]
-"""What makes a run of its words in its folder, or goes on with it; `KeyboardInterrupt` says that it
-was asked to stop and has saved itself."""
+Live = Callable[[Job], None]
+"""Begins a run, or goes on with it; raises `KeyboardInterrupt` once it was asked to stop and has
+saved itself."""
 
 Crew = Generator[list[Job], None, None]
 """Yields, at least every `TICK`, the runs that have just ended, well or not."""
 
 log = logging.getLogger(__name__)
+
+
+def run_experiment(job: Job) -> None:
+    """Begin a run of a comparison, or go on with it if it has begun.
+
+    Raises:
+        KeyboardInterrupt: It was asked to stop, and has saved itself.
+    """
+    make_importable(job.made_in)
+    experiment = Experiment.from_json(job.content)
+    try:
+        with stopping() as stop:
+            experiment.run_or_resume(job.folder, stop=stop)
+    except StoppedError as stopped:
+        raise KeyboardInterrupt(str(stopped)) from None
 
 
 def carry_out(sizes: Mapping[Job, int], crew: Crew, stop: Callable[[], bool]) -> bool:
@@ -133,11 +149,11 @@ def run_job(job: Job, live: Live) -> None:
     job.log.parent.mkdir(parents=True, exist_ok=True)
     with job.log.open("a", encoding="utf-8", buffering=1) as file:
         who = f"{socket.gethostname()}, process {os.getpid()}"
-        print(f"{datetime.now():%Y-%m-%d %H:%M:%S}, {who}: {join(job.words)}", file=file)
+        print(f"{datetime.now():%Y-%m-%d %H:%M:%S}, {who}: {job.name}", file=file)
         try:
             with lock_file(file), _speaking_to(file):
                 job.begin()
-                live(job.words, job.folder)
+                live(job)
         except BlockingIOError as error:
             print(error, file=file)
         except Exception as error:  # whatever it is, the others shall go on

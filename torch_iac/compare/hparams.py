@@ -107,11 +107,9 @@ def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
 
 def _settings(run: Run) -> dict[str, Any]:
     """Return the config's numbers, each under its whole name."""
-    config = run.config
-    parts = {name: config.get(name) for name in ("preset", "steps", "device")}
-    world = config.get("world", {})
-    parts |= {"world": world.get("name"), "world_options": world.get("options", {})}
-    return _flat({**parts, **config.get("iac", {})})
+    names = ("steps", "device", "world", "world_options", "hold", "sensor_bounds")
+    parts = {name: run.config[name] for name in names if name in run.config}
+    return _flat({**parts, **run.config["iac"]})
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,18 +1,20 @@
 """Variants times seeds: the runs of a comparison, where each is kept, and how far it is.
 
-A comparison is a folder. Its plan says which variants, and which seeds; a run of a variant is what
-`torch-iac train` makes of the comparison's words, the variant's and the seeds.
+A comparison is a folder. Its plan holds an experiment for each variant, and says which seeds; a run
+is a variant's experiment with some of the seeds.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from shlex import join, split
+from shlex import join
 from tempfile import NamedTemporaryFile
 from typing import Any, Literal, Self
 
+from torch_iac.experiment import Experiment
 from torch_iac.internal.files import dump_json, parse_json, sync, sync_names
+from torch_iac.internal.parts import make_importable
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.schema import CONFIG, SUMMARY
 from torch_iac.runs.summary import N_AGENTS_LISTED
@@ -22,9 +24,6 @@ PLAN = "comparison.json"
 
 FIGURES = "figures"
 """Where it keeps its pictures; no variant can be called so."""
-
-OWN_WORDS = ("--seed", "--agents", "--out")
-"""What a comparison itself says to each of its runs."""
 
 MOST_SEEDS = 100_000
 """With more, even the list of runs would be too long."""
@@ -42,14 +41,16 @@ class Variant:
 
     Attributes:
         name: What it is called.
-        words: The options of `torch-iac train` in which it differs.
+        experiment: What each of its runs is; its seeds are the comparison's.
+        words: The options of `torch-iac train` by which it was described, if it was.
 
     Raises:
-        ValueError: The name cannot be a folder's, or a word is for the comparison to say.
+        ValueError: The name cannot be a folder's.
     """
 
     name: str
-    words: tuple[str, ...]
+    experiment: Experiment
+    words: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name) or self.name == FIGURES:
@@ -57,19 +58,23 @@ class Variant:
                 f"a variant's name must be letters, digits and _.+=-, and not {FIGURES}, "
                 f"got {self.name!r}"
             )
-        check_words(self.words, f"variant {self.name}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON can hold it, without seeds."""
+        content = self.experiment.to_json()
+        del content["seeds"]
+        return {"words": list(self.words), "experiment": content}
 
     @classmethod
-    def from_text(cls, text: str) -> Self:
-        """Return the variant that a text such as `mlp: --experts mlp` describes.
+    def from_json(cls, name: str, content: Mapping[str, Any]) -> Self:
+        """Return the variant of which `to_json` made JSON.
 
         Raises:
-            ValueError: It is not written NAME: WORDS, or no variant can be made of it.
+            KeyError: Something is missing.
+            ValueError: No variant can be made of it.
         """
-        name, colon, words = text.partition(":")
-        if not colon:
-            raise ValueError(f"a variant must be written NAME: WORDS, got {text}")
-        return cls(name.strip(), _split(words, f"variant {name.strip()}"))
+        words = tuple(map(str, content["words"]))
+        return cls(name, Experiment.from_json(content["experiment"]), words)
 
 
 @dataclass(frozen=True)
@@ -80,13 +85,16 @@ class Job:
         variant: The variant's name.
         seeds: The seed of each of its robots.
         folder: The run folder.
-        words: The whole command that makes it.
+        content: The experiment as JSON, since a process far away may have to find a user's own
+            parts first.
+        made_in: The folder that was the present one when the comparison was made.
     """
 
     variant: str
     seeds: tuple[int, ...]
     folder: Path
-    words: tuple[str, ...]
+    content: Mapping[str, Any] = field(compare=False)
+    made_in: str = field(compare=False)
 
     @property
     def name(self) -> str:
@@ -140,11 +148,14 @@ class Job:
         """
         if not (self.folder / CONFIG).is_file():
             return
-        found = list(map(str, load_run(self.folder).config.get("command", ())))
-        if _without_place(found) != _without_place(self.words):
-            raise ValueError(
-                f"{self.folder} must hold the run of `{join(self.words)}`, got `{join(found)}`"
-            )
+        found = load_run(self.folder).config
+        for name, value in self.content.items():
+            if found.get(name) != value:
+                where, there, here = difference(found.get(name), value, name)
+                raise ValueError(
+                    f"{self.folder} must hold the run of {self.name}, with {where} {here}, "
+                    f"got {there}"
+                )
 
     @property
     def _failure(self) -> Path:
@@ -158,14 +169,13 @@ class Comparison:
     Attributes:
         folder: Where it is.
         variants: What is compared; the first is what others are compared with.
-        words: Options of `torch-iac train` for all.
+        words: Options of `torch-iac train` for all, if it was described by them.
         n_seeds: How many robots of each variant.
         seed: The seed of the first; each further one has the next.
         block: How many of them, at most, are the population of one run.
 
     Raises:
-        ValueError: There are no variants, two have one name, a number is out of its range, or a
-            word is for the comparison to say.
+        ValueError: There are no variants, two have one name, or a number is out of its range.
     """
 
     folder: Path
@@ -174,6 +184,8 @@ class Comparison:
     n_seeds: int = 10
     seed: int = 0
     block: int = 1
+    made_in: str = field(default_factory=lambda: str(Path.cwd()))
+    """The folder that was the present one: where modules of a user's own are looked for."""
 
     def __post_init__(self) -> None:
         if not self.variants:
@@ -190,7 +202,6 @@ class Comparison:
                 f"block must lie in [1, {N_AGENTS_LISTED}], the robots that a run's summary lists, "
                 f"got {self.block}"
             )
-        check_words(self.words, "a comparison")
 
     def jobs(self) -> list[Job]:
         """Return every run, seed by seed, so that variants advance together."""
@@ -205,9 +216,8 @@ class Comparison:
         first, last = seeds[0], seeds[-1]
         place = f"seed-{first:03d}" if self.block == 1 else f"seeds-{first:03d}-{last:03d}"
         folder = self.folder / variant.name / place
-        own = (f"--seed={first}", f"--agents={len(seeds)}", f"--out={folder}")
-        words = ("torch-iac", "train", *self.words, *variant.words, *own)
-        return Job(variant.name, seeds, folder, words)
+        content = replace(variant.experiment, seeds=seeds).to_json()
+        return Job(variant.name, seeds, folder, content, self.made_in)
 
     def grown(
         self,
@@ -231,8 +241,14 @@ class Comparison:
         """
         known = {variant.name: variant for variant in self.variants}
         for variant in variants:
-            before = known.setdefault(variant.name, variant)
-            self._check_same(f"the words of {variant.name}", before.words, variant.words)
+            before = known.setdefault(variant.name, variant).to_json()["experiment"]
+            now = variant.to_json()["experiment"]
+            if before != now:
+                where, was, is_now = difference(before, now)
+                raise ValueError(
+                    f"{where} of {variant.name} must stay {was}, as {self.folder} began, "
+                    f"got {is_now}"
+                )
         self._check_same("the words for all", self.words, tuple(words) or self.words)
         self._check_same("block", self.block, self.block if block is None else block)
         return replace(
@@ -253,11 +269,12 @@ class Comparison:
         """Write the plan; several processes may do so at once."""
         self.folder.mkdir(parents=True, exist_ok=True)
         content = {
-            "variants": {variant.name: list(variant.words) for variant in self.variants},
+            "variants": {variant.name: variant.to_json() for variant in self.variants},
             "words": list(self.words),
             "seeds": self.n_seeds,
             "seed": self.seed,
             "block": self.block,
+            "made_in": self.made_in,
         }
         with NamedTemporaryFile(dir=self.folder, prefix=f".{PLAN}.", delete=False) as file:
             file.write(dump_json(content))
@@ -279,22 +296,13 @@ def load_comparison(folder: Path | str) -> Comparison:
         raise FileNotFoundError(f"{folder} holds no comparison: there is no {PLAN} in it")
     try:
         plan = parse_json(path.read_bytes())
-        numbers = [int(plan[name]) for name in ("seeds", "seed", "block")]
-        return Comparison(folder, _variants(plan["variants"]), tuple(plan["words"]), *numbers)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
-
-
-def read_variants(path: Path) -> tuple[Variant, ...]:
-    """Return the variants in a JSON file: under each name, words as a list or as one text.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: It holds something else.
-    """
-    try:
-        return _variants(parse_json(path.read_bytes()))
-    except ValueError as error:
+        n_seeds, seed, block = (int(plan[name]) for name in ("seeds", "seed", "block"))
+        made_in = str(plan["made_in"])
+        for place in (made_in, Path.cwd()):
+            make_importable(place)
+        variants = tuple(Variant.from_json(name, of) for name, of in plan["variants"].items())
+        return Comparison(folder, variants, tuple(plan["words"]), n_seeds, seed, block, made_in)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
 
 
@@ -326,40 +334,11 @@ def tally_states(jobs: Sequence[Job]) -> str:
     return ", ".join(f"{states.count(s)} {w}" for s, w in words.items() if s in states)
 
 
-def check_words(words: Sequence[str], whose: str) -> None:
-    """Refuse words that a comparison itself says to each of its runs.
-
-    Raises:
-        ValueError: One is among them.
-    """
-    for word in words:
-        if word.partition("=")[0] in OWN_WORDS:
-            raise ValueError(
-                f"{whose} must leave {', '.join(OWN_WORDS)} to torch-iac compare, got {word}"
-            )
-
-
-def _variants(content: Any) -> tuple[Variant, ...]:
-    """Return the variants that JSON describes."""
-    if not isinstance(content, Mapping):
-        raise ValueError(f"variants must be names, each with its words, got {str(content)[:80]}")
-    variants = []
-    for name, words in content.items():
-        if isinstance(words, str):
-            words = _split(words, f"variant {name}")
-        if not isinstance(words, Sequence) or not all(isinstance(word, str) for word in words):
-            raise ValueError(f"the words of {name} must be a list of texts, got {str(words)[:80]}")
-        variants.append(Variant(name, tuple(words)))
-    return tuple(variants)
-
-
-def _split(text: str, whose: str) -> tuple[str, ...]:
-    try:
-        return tuple(split(text))
-    except ValueError as error:  # such as a quotation that does not end
-        raise ValueError(f"the words of {whose} cannot be read ({error}): {text.strip()}") from None
-
-
-def _without_place(words: Sequence[str]) -> list[str]:
-    """Return a command without its folder, which may be called from elsewhere."""
-    return [word for word in words if not word.startswith("--out=")]
+def difference(one: Any, other: Any, where: str = "") -> tuple[str, Any, Any]:
+    """Return where JSON first differs from other JSON, and what stands there in both."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for name in [*one, *other]:
+            if one.get(name) != other.get(name):
+                place = f"{where}.{name}" if where else name
+                return difference(one.get(name), other.get(name), place)
+    return where, one, other

@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,13 @@ from torch_iac.internal.files import dump_json, parse_json, replace, sync, sync_
 from torch_iac.internal.serialize import pack, unpack
 from torch_iac.internal.state import State
 
-FORMAT = 1
-"""Which layout of a checkpoint this version writes and reads."""
+FORMAT = 2
+"""Which checkpoints this version writes and reads: it rises when runs would go on otherwise than
+they began, or when the files change. Versions of the library do not matter."""
+
+ADDED: Mapping[str, Any] = {}
+"""Names in the identity that later versions added, each with what it was before there was a choice:
+checkpoints without them go on."""
 
 STATE, CONTENT, MANIFEST, LATEST = "state.safetensors", "state.json", "manifest.json", "LATEST"
 """What the files are called."""
@@ -74,7 +78,6 @@ def identity(agent: IAC, **more: Any) -> dict[str, Any]:
         more: What else must be the same, such as the world's name and options.
     """
     return {
-        "torch_iac": version("torch_iac"),
         "space": agent.space.to_json(),
         "config": agent.config.to_json(),
         "seeds": list(agent.seeds),
@@ -130,16 +133,28 @@ class Checkpoints:
                 shutil.rmtree(old, ignore_errors=True)  # what stays is removed the next time
         return folder
 
-    def read(self) -> Checkpoint:
+    def read(self, n_decisions: int | None = None) -> Checkpoint:
         """Return the latest sound checkpoint; a warning says if it is not the latest of all.
 
+        Args:
+            n_decisions: After how many decisions it must be; None for the latest.
+
         Raises:
-            FileNotFoundError: There is no checkpoint.
+            FileNotFoundError: There is no checkpoint, or none after so many decisions.
             ValueError: It is another version's or another run's, or none is sound.
         """
         latest = self._latest()
         found = [latest] if latest else []
         found += [folder for folder in self._newest_first() if folder != latest]
+        if n_decisions is not None:
+            numbers = {folder: int(folder.name.partition("-")[0]) for folder in found}
+            found = [folder for folder in found if numbers[folder] == n_decisions]
+            if not found:
+                there = ", ".join(str(number) for number in sorted(set(numbers.values()))) or "none"
+                raise FileNotFoundError(
+                    f"{self.folder} must hold a checkpoint after {n_decisions} decisions, "
+                    f"got {there}"
+                )
         damages = []
         if latest is None and (self.folder / LATEST).exists():
             damages.append(f"{LATEST} must name a checkpoint that is there")
@@ -218,6 +233,7 @@ class Checkpoints:
 
     def _check_fits(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         saved, present = _leaves(manifest["identity"]), _leaves(self._identity)
+        present = {n: of for n, of in present.items() if n in saved or ADDED.get(n, ...) != of}
         for name in [*saved, *(name for name in present if name not in saved)]:
             old, new = saved.get(name, "nothing"), present.get(name, "nothing")
             if (type(old) is bool, old) != (type(new) is bool, new):

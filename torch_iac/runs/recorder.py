@@ -7,8 +7,10 @@ Every file is written under a temporary name, fsynced and renamed, so whatever h
 whole, also after a crash. Shapes: `A` agents, `T` decisions in one part, `S` regions.
 """
 
+import platform
 import time
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -19,7 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torch_iac.config import IACConfig
 from torch_iac.internal.files import dump_json, replace, write_table
+from torch_iac.internal.processor import processor
 from torch_iac.internal.validation import check_count
 from torch_iac.records import Genealogy, RegionSummary, Step
 from torch_iac.runs.buffer import N_LOGGED_AGENTS, ROWS_PER_PART, Rows, decisions_per_part
@@ -47,12 +51,20 @@ LOGS_PER_DOUBLING = 500
 """The logging interval doubles each time the run doubles: logs between two doublings."""
 
 
+PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "pybullet-arm64", "mujoco")
+"""What config.json tells the versions of."""
+
+
 class Recorded(Protocol):
     """What a recorder asks of the agent that it records; `IAC` has it."""
 
     @property
     def space(self) -> SensorimotorSpace:
         """What the agents do, sense and predict."""
+
+    @property
+    def config(self) -> IACConfig:
+        """The numbers of the algorithm."""
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -73,7 +85,7 @@ class Recorder:
     """Writes a run folder, decision by decision; a context manager.
 
     ```python
-    with Recorder(Path("runs/a"), agent, config={"preset": "iac2004"}) as recorder:
+    with Recorder(Path("runs/a"), agent) as recorder:
         for _ in range(10_000):
             ...
             recorder.record(agent.observe(sensors))
@@ -95,8 +107,8 @@ class Recorder:
         folder: Where to write; made if it is not there.
         agent: The population that is recorded.
         zone_names: The names of the world's zones, if it has any.
-        config: What else `config.json` shall hold, besides the space, the seeds, the zones and the
-            names of the shadows.
+        config: What else `config.json` shall hold, besides the agent's config, space and seeds, the
+            zones, the names of the shadows, versions and the kind of processor.
         log_every: How many decisions lie between two logs to TensorBoard, at first; in a long run
             they become fewer, as `log_interval` says.
         rows_per_part: At most so many rows (a decision of an agent) are kept in memory.
@@ -135,6 +147,9 @@ class Recorder:
         self.folder = Path(folder)
         _claim(self.folder, resume)
         known = {
+            "versions": {"python": platform.python_version(), **_versions()},
+            "processor": _processor(self.folder) if resume else processor(),
+            "iac": agent.config.to_json(),
             "space": agent.space.to_json(),
             "seeds": agent.seeds,
             "zones": zone_names,
@@ -298,6 +313,19 @@ def log_interval(n_decisions: int, log_every: int) -> int:
     """
     octave = n_decisions // (log_every * LOGS_PER_DOUBLING)
     return log_every << max(0, octave.bit_length() - 1)
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions of what a run depends on, as far as it is installed."""
+    return {name: found.version for name in PACKAGES for found in metadata.distributions(name=name)}
+
+
+def _processor(folder: Path) -> Any:
+    """Return the kind of processor that a run began on."""
+    try:
+        return load_run(folder).config.get("processor")
+    except FileNotFoundError:  # it was killed before it wrote its config
+        return processor()
 
 
 def write_config(folder: Path, config: Mapping[str, Any]) -> None:

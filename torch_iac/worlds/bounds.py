@@ -1,13 +1,14 @@
 """Bounds of sensors that a world leaves open: given by the user, or found by random decisions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
-from gymnasium.wrappers import TransformObservation
+from gymnasium.vector import VectorWrapper
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from torch_iac.space import MOST_BOUND, Dimension, names_of
@@ -40,10 +41,49 @@ class Bounds:
     given: tuple[str, ...]
     found: tuple[str, ...]
 
-    def clips(self, world: gym.Env[Any, Any]) -> gym.Wrapper[Any, Any, Any, Any]:
-        """Return a world that reads its sensors within the bounds, the bound itself beyond."""
-        low, high = self.box.low, self.box.high
-        return TransformObservation(world, lambda sensors: np.clip(sensors, low, high), self.box)
+    def clip(self, world: World) -> World:
+        """Return worlds that read their sensors within the bounds, the bound itself beyond.
+
+        Raises:
+            ValueError: They are natively vectorised.
+        """
+        if not hasattr(world.unwrapped, "envs"):
+            raise ValueError(
+                "sensor_bounds must be left to worlds that are single, "
+                f"got {type(world.unwrapped).__name__}"
+            )
+        return ClippedSensors(world, self.box)
+
+
+class ClippedSensors(VectorWrapper):
+    """Worlds that read their sensors within bounds, the bound itself beyond.
+
+    Args:
+        env: The worlds.
+        box: The bounds of one world's sensors, in raw units.
+    """
+
+    def __init__(self, env: World, box: Box) -> None:
+        super().__init__(env)
+        self._low, self._high = box.low, box.high
+        self.single_observation_space = box
+        self.observation_space = batch_space(box, env.num_envs)
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Start the worlds."""
+        sensors, info = self.env.reset(**arguments)
+        return self._clipped(sensors), info
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take an action in each world; the last sensors of an episode are clipped too."""
+        sensors, rewards, terminated, truncated, info = self.env.step(actions)
+        if "final_obs" in info:
+            last = [None if of is None else self._clipped(of) for of in info["final_obs"]]
+            info["final_obs"] = np.array([*last, None], dtype=object)[:-1]
+        return self._clipped(sensors), rewards, terminated, truncated, info
+
+    def _clipped(self, sensors: Any) -> Any:
+        return np.clip(sensors, self._low, self._high)
 
 
 def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -65,16 +105,20 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def bounds_of(
-    world: World, given: Mapping[str, tuple[float, float]], n_decisions: int
+    world: World,
+    given: Mapping[str, tuple[float, float]],
+    n_decisions: int,
+    make_single: Callable[[], World],
 ) -> Bounds | None:
     """Return bounds for all sensors of a world; None if its own will do.
 
     They are those given; else the world's own; else those found by random decisions.
 
     Args:
-        world: A single world; random decisions are taken in it if they are needed.
+        world: The worlds, which are left as they are.
         given: Low and high, in raw units, by the name of the sensor.
         n_decisions: How many random decisions.
+        make_single: Makes a world for them, if they are needed.
 
     Raises:
         ValueError: A name is no sensor's, or the world names more or fewer than there are.
@@ -90,11 +134,25 @@ def bounds_of(
     has_low, has_high = low >= -MOST_BOUND, high <= MOST_BOUND
     found = [name for name, *has in zip(names, has_low, has_high, strict=True) if not all(has)]
     if found:
-        found_low, found_high = found_bounds(world, n_decisions)
+        with closing(make_single()) as single:
+            found_low, found_high = found_bounds(single, n_decisions)
         low, high = np.where(has_low, low, found_low), np.where(has_high, high, found_high)
     if not (given or found):
         return None
     return Bounds(Box(low, high, dtype=np.float64), tuple(given), tuple(found))
+
+
+def recorded_bounds(config: Mapping[str, Any]) -> Bounds | None:
+    """Return the bounds that a run was made with, from its `config.json`; None if its world's own.
+
+    Raises:
+        KeyError: The file lacks what belongs to them.
+    """
+    if "bounds" not in config:
+        return None
+    low, high = zip(*config["space"]["sensors"].values(), strict=True)
+    box = Box(np.array(low), np.array(high), dtype=np.float64)
+    return Bounds(box, tuple(config["bounds"]["given"]), tuple(config["bounds"]["found"]))
 
 
 def found_bounds(world: World, n_decisions: int) -> tuple[Floats, Floats]:

@@ -1,6 +1,6 @@
 """The worlds that the command makes: which there are, and how their options are written."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
@@ -15,7 +15,6 @@ from gymnasium.wrappers import RepeatAction
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.toy_room import WORLDS
-from torch_iac.worlds.bounds import Bounds
 from torch_iac.worlds.options import EPISODES, check_options, parameters_of
 from torch_iac.worlds.saving import savable
 from torch_iac.worlds.vector import World
@@ -27,7 +26,6 @@ def make_world(
     options: Mapping[str, Any],
     device: torch.device,
     hold: int = 1,
-    bounds: Bounds | None = None,
 ) -> World:
     """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
 
@@ -38,29 +36,22 @@ def make_world(
         options: Arguments of each.
         device: Where worlds that are tensors are.
         hold: For how many steps of the world an action is held.
-        bounds: What sensors are clipped to; None leaves them as they are.
 
     Raises:
-        ValueError: There is no such world, it has no such option, refuses its value, or cannot be
-            given bounds or hold actions.
+        ValueError: There is no such world, it has no such option, refuses its value, or cannot
+            hold actions.
     """
     spec = _spec(name)
     with _refusals(name, options):
         if spec.entry_point is None:
-            if hold > 1 or bounds is not None:
-                raise ValueError(
-                    f"hold and sensor_bounds must be left to worlds that are single, got {name}"
-                )
+            if hold > 1:
+                raise ValueError(f"hold must be left to worlds that are single, got {name}")
             return _batched(name, spec, n_worlds, options, device)
         parameters = dict(parameters_of(spec.entry_point))
         if spec.max_episode_steps is not None:
             parameters |= EPISODES
         check_options(name, options, parameters)
-        wrappers: list[Callable[..., gym.Wrapper[Any, Any, Any, Any]]] = []
-        if hold > 1:
-            wrappers.append(partial(RepeatAction, num_repeats=hold))
-        if bounds is not None:
-            wrappers.append(bounds.clips)
+        wrappers = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
 

@@ -102,7 +102,9 @@ def set_world_state(env: World, state: Any) -> None:
 
 
 def _saved_as_one(env: World) -> World:
-    return env if hasattr(env, "get_state") else env.unwrapped
+    while isinstance(env, VectorWrapper) and not hasattr(env, "get_state"):
+        env = env.env
+    return env
 
 
 def savable(env: World) -> World:

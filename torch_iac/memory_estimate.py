@@ -93,9 +93,8 @@ def check_memory(
     n_decisions: int,
     n_recorded: int,
     device: torch.device,
-    world_bytes: int = 0,
 ) -> None:
-    """Refuse a run that will not fit into memory; where free memory is not known, refuse none.
+    """Refuse robots that will not fit into memory; where free memory is not known, refuse none.
 
     Args:
         space: What the robots do, sense and predict.
@@ -104,23 +103,39 @@ def check_memory(
         n_decisions: How many decisions each takes.
         n_recorded: Of how many every decision is recorded.
         device: Where the robots are.
-        world_bytes: What each robot's world takes in the main memory.
 
     Raises:
         ValueError: It will not fit; the message says what is needed and what is free.
     """
     need = memory_needed(space, config, n_agents, n_decisions, n_recorded)
-    needed = {"cpu": need.on_host + n_agents * world_bytes}
+    needed = {"cpu": need.on_host}
     place = "cpu" if device.type == "cpu" else str(device)
     needed[place] = needed.get(place, 0) + need.on_device
+    who = f"{n_agents:,} agents and {n_decisions:,} decisions"
     for place, n_bytes in needed.items():
-        free = free_memory(torch.device(place))
-        if free is not None and n_bytes > free:
-            raise ValueError(
-                f"a run must fit into memory: {n_agents:,} agents and {n_decisions:,} decisions "
-                f"need about {n_bytes / 1e9:.1f} GB on {place}, got {free / 1e9:.1f} GB free; "
-                "lower agents, steps or max_examples"
-            )
+        _check_fits(who, n_bytes, torch.device(place), "agents, steps or max_examples")
+
+
+def check_world_memory(n_worlds: int, world_bytes: int) -> None:
+    """Refuse worlds that will not fit into the main memory.
+
+    Args:
+        n_worlds: How many.
+        world_bytes: What each takes.
+
+    Raises:
+        ValueError: They will not; the message says what is needed and what is free.
+    """
+    _check_fits(f"{n_worlds:,} worlds", n_worlds * world_bytes, torch.device("cpu"), "agents")
+
+
+def _check_fits(who: str, n_bytes: int, device: torch.device, lower: str) -> None:
+    free = free_memory(device)
+    if free is not None and n_bytes > free:
+        raise ValueError(
+            f"a run must fit into memory: {who} need about {n_bytes / 1e9:.1f} GB on {device}, "
+            f"got {free / 1e9:.1f} GB free; lower {lower}"
+        )
 
 
 def memory_needed(

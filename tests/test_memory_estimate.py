@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 import torch
 
-from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace
-from torch_iac.cli import memory_estimate
-from torch_iac.cli.memory_estimate import check_memory, free_memory, memory_needed
+from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace, memory_estimate
+from torch_iac.memory_estimate import check_memory, check_world_memory, free_memory, memory_needed
 
 N_AGENTS, N_DECISIONS = 64, 300
 KNN = IACConfig(max_examples=40, n_candidates=5)
@@ -89,8 +88,9 @@ def test_worlds_and_records_need_the_main_memory(
     check_memory(*run, few, gpu)
     with pytest.raises(ValueError, match="GB on cpu, got"):
         check_memory(*run, 4000, gpu)
-    with pytest.raises(ValueError, match="GB on cpu, got"):
-        check_memory(*run, few, gpu, world_bytes=10**4)
+    check_world_memory(100, 10**4)
+    with pytest.raises(ValueError, match="4,000 worlds need about .* on cpu, got"):
+        check_world_memory(4000, 10**4)
 
 
 def test_where_free_memory_is_not_known_nothing_is_refused(
