@@ -12,7 +12,7 @@ if [ $# -lt 1 ] || [ $# -gt 3 ]; then
   echo "usage: $0 DIR [MIRROR [TARGET]]" >&2
   exit 2
 fi
-mirror=${2:-http://deb.debian.org/debian}
+mirror=${2:-} # empty: what debootstrap takes by itself
 target=${3:-test}
 repository=$(git -C "$(dirname "$0")" rev-parse --show-toplevel)
 packages=python3,python3-venv,make,git,ca-certificates,libgl1,libegl1
@@ -20,7 +20,7 @@ packages=python3,python3-venv,make,git,ca-certificates,libgl1,libegl1
 mkdir -p "$1"
 root=$(cd "$1" && pwd)
 if [ ! -e "$root/etc/debian_version" ] || [ -e "$root/debootstrap" ]; then
-  debootstrap --variant=minbase --include="$packages" trixie "$root" "$mirror"
+  debootstrap --variant=minbase --include="$packages" trixie "$root" ${mirror:+"$mirror"}
 fi
 
 # What the machine needs to reach a package index.

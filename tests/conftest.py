@@ -1,5 +1,6 @@
 """What the tests share: small spaces, a small world, and one thread."""
 
+import matplotlib.font_manager  # noqa: F401 - says so where it has no cache yet, and not in a test
 import pytest
 import torch
 from hypothesis import settings

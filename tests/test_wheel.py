@@ -79,7 +79,7 @@ def test_the_wheel_holds_both_packages_and_nothing_else(wheel: Path) -> None:
         f"{package}/{path.relative_to(source).as_posix()}"
         for package, source in PACKAGES.items()
         for path in source.rglob("*")
-        if path.is_file() and path.suffix != ".pyc"
+        if path.is_file() and "__pycache__" not in path.parts
     }
     assert {"torch_iac/py.typed", "torch_iac_envs/py.typed", "torch_iac/__init__.pyi"} <= names
 

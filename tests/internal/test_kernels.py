@@ -1,4 +1,6 @@
 import math
+import multiprocessing
+import warnings
 from collections.abc import Iterator
 from itertools import pairwise, product
 
@@ -136,6 +138,26 @@ def test_a_weight_that_is_no_number_shows() -> None:
     weights[0, 0] = math.nan
     answers = kernels.perceptrons(weights, torch.tensor([0]), [2, 3, 1], torch.ones(1, 1, 2))
     assert answers.isnan().all()
+
+
+@pytest.mark.usefixtures("threads")
+def test_a_forked_process_can_go_on() -> None:
+    torch.set_num_threads(2)
+    situations = torch.rand(100, 14, 500, generator=torch.Generator().manual_seed(0))
+    rows, points = torch.arange(100), situations[:, :, 0].contiguous()
+    expected = kernels.squared_distances(situations, rows, points)
+    received, sent = multiprocessing.Pipe(duplex=False)
+
+    def answer() -> None:
+        sent.send(kernels.squared_distances(situations, rows, points).numpy())
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forking where there are threads
+        process = multiprocessing.get_context("fork").Process(target=answer)
+        process.start()
+    assert received.poll(timeout=60)
+    assert np.array_equal(received.recv(), expected.numpy())
+    process.join()
 
 
 @pytest.mark.usefixtures("threads")

@@ -328,10 +328,10 @@ def pick(examples: Tensor, picks: Tensor) -> Tensor:
 def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
     """Return a linear layer with torch's usual initial weights, the same on every processor.
 
-    They are uniform within 1 / sqrt(n_inputs). torch's own way to draw them, `uniform_`, rounds as
-    the processor does.
+    They are uniform within 1 / sqrt(n_inputs), from the same random numbers as `nn.Linear`'s own,
+    whose `uniform_` rounds as the processor does.
     """
-    layer = nn.Linear(n_inputs, n_outputs)
+    layer: nn.Linear = nn.utils.skip_init(nn.Linear, n_inputs, n_outputs)  # type: ignore[no-untyped-call]
     with torch.no_grad():
         for weights in (layer.weight, layer.bias):
             weights.copy_((torch.rand(weights.shape) * 2 - 1) * (1 / math.sqrt(n_inputs)))
