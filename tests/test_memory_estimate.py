@@ -89,7 +89,7 @@ def test_worlds_and_records_need_the_main_memory(
     with pytest.raises(ValueError, match="GB on cpu, got"):
         check_memory(*run, 4000, gpu)
     check_world_memory(100, 10**4)
-    with pytest.raises(ValueError, match="4,000 worlds need about .* on cpu, got"):
+    with pytest.raises(ValueError, match=r"4,000 worlds need about .* on cpu, got"):
         check_world_memory(4000, 10**4)
 
 

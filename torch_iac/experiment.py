@@ -34,6 +34,9 @@ from torch_iac.worlds.vector import World
 SEEDS = 2**32
 """Seeds lie below; every random number generator takes them."""
 
+MOST_SEEDS = 1_000_000
+"""Robots of one run; more fit into no memory."""
+
 MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
 """Beyond use: a decision, or what comes before the first, would take minutes."""
 
@@ -119,7 +122,7 @@ class Experiment:
         for name in ("seeds", "outcomes"):
             if isinstance(getattr(self, name), (int, str)):
                 raise ValueError(f"{name} must be a list, got {getattr(self, name)!r}")
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            object.__setattr__(self, name, _tuple(name, getattr(self, name)))
         if not self.seeds:
             raise ValueError("seeds must name at least one robot, got none")
         for seed in (min(self.seeds), max(self.seeds)):
@@ -495,6 +498,13 @@ def _new_folder(world: str) -> Path:
     """Return a run folder in runs/, named by the time and the world."""
     name = re.sub(r"[^\w.-]", "-", world)
     return Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{name}"
+
+
+def _tuple(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    # Asked before a range of a thousand million becomes as many numbers.
+    if len(values) > MOST_SEEDS:
+        raise ValueError(f"{name} must be at most {MOST_SEEDS:,}, got {len(values):,}")
+    return tuple(values)
 
 
 def _description(bounds: Bounds | None) -> dict[str, Any]:

@@ -284,7 +284,7 @@ def test_of_many_robots_a_few_are_recorded_and_it_is_said(
 @pytest.mark.parametrize(
     "words",
     [
-        f"--agents {10**9}",
+        f"--agents {10**6}",
         f"--world kinematic --steps {10**12}",
         f"--n-candidates {10**9}",
         f"--meta.hidden {10**12} {10**12}",
@@ -302,10 +302,10 @@ def test_what_is_far_too_large_is_refused_before_it_is_made(tmp_path: Path, word
 
 @pytest.mark.parametrize("world", ["toyroom", "kinematic"])
 def test_a_run_that_will_not_fit_into_memory_is_refused(tmp_path: Path, world: str) -> None:
-    answer = typed("train", "--world", world, "--agents", "10000000", "--out", tmp_path / "a")
+    answer = typed("train", "--world", world, "--agents", "1000000", "--out", tmp_path / "a")
     assert (answer.code, answer.out) == (2, "")
     assert re.fullmatch(
-        r"torch-iac: a run must fit into memory: 10,000,000 agents and 10,000 decisions need about "
+        r"torch-iac: a run must fit into memory: 1,000,000 agents and 10,000 decisions need about "
         r"[\d.]+ GB on cpu, got [\d.]+ GB free; lower agents, steps or max_examples\n",
         answer.err,
     )

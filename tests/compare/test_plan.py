@@ -128,10 +128,9 @@ def test_variants_can_be_in_a_file(tmp_path: Path) -> None:
     file.write_text('{"knn": [], "random": "--drive random"}')
     answer = compare(tmp_path / "a", "--variants", file, "--seeds=1")
     assert (answer.code, answer.err) == (0, "")
-    kinds = [
-        variant.experiment.config.drive for variant in load_comparison(tmp_path / "a").variants
-    ]
-    assert [type(of.experiment.config.drive).__name__ for of in found] == ["Progress", "Random"]
+    variants = load_comparison(tmp_path / "a").variants
+    drives = [type(variant.experiment.config.drive).__name__ for variant in variants]
+    assert drives == ["Progress", "Random"]
 
 
 @pytest.mark.parametrize(

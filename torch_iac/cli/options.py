@@ -26,7 +26,7 @@ from torch_iac.drives.learning_progress import (
     Progress,
 )
 from torch_iac.drives.protocol import Drive
-from torch_iac.experiment import SEEDS, Experiment, load_experiment
+from torch_iac.experiment import MOST_SEEDS, SEEDS, Experiment, load_experiment
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
@@ -64,9 +64,6 @@ KINDS: dict[str, tuple[Mapping[str, type], type]] = {
     "choice": (CHOICES, Choice),
 }
 """The parts that have a name: the library's own, and what any other must be."""
-
-MAX_AGENTS = 10**9
-"""Beyond use, and what their seeds as a list still allow to be refused."""
 
 Plain = tyro.conf.arg(name="")
 """The options of a part are named without the part's own name before theirs."""
@@ -165,8 +162,8 @@ class Train:
 
     def __post_init__(self) -> None:
         check_count("agents", self.agents)
-        if self.agents > MAX_AGENTS:
-            raise ValueError(f"agents must lie in [1, {MAX_AGENTS:,}], got {self.agents:,}")
+        if self.agents > MOST_SEEDS:
+            raise ValueError(f"agents must be at most {MOST_SEEDS:,}, got {self.agents:,}")
         if not 0 <= self.seed < SEEDS:
             raise ValueError(f"seed must lie in [0, {SEEDS}), got {self.seed}")
         self.experiment()  # refuses what is out of its range
