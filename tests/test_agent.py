@@ -21,7 +21,6 @@ from torch_iac import (
     Dimension,
     Drive,
     Error,
-    Examples,
     Experts,
     GlobalProgress,
     Greedy,
@@ -39,10 +38,11 @@ from torch_iac import (
     Random,
     SensorimotorSpace,
     Softmax,
-    Split,
     Stage,
     Step,
 )
+from torch_iac.regions.examples import Examples
+from torch_iac.regions.tree import Split
 
 SMALL = IACConfig(n_candidates=5, max_examples=20, window=8, delay=8)
 """Splits often, so that a short run shows much."""

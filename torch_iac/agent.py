@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -103,7 +103,9 @@ class IAC(Stateful):
         seeds: Sequence[int] = (0,),
         device: torch.device | str = "cpu",
     ) -> None:
-        if not seeds:
+        if isinstance(seeds, (int, str)):
+            raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}")
+        if not len(seeds):
             raise ValueError("seeds must name at least one agent, got none")
         if config is not None and isinstance(config.drive, Curriculum):
             config.drive.columns(space)  # before the robots live, not when a stage begins
@@ -146,6 +148,13 @@ class IAC(Stateful):
         self._outcome_columns = torch.tensor(space.outcome_columns, device=self.device)
         self._first_candidates = torch.arange(n_agents, device=self.device) * config.n_candidates
         self._decision: _Decision | None = None
+
+    def __repr__(self) -> str:
+        parts = (type(part).__name__ for part in (self.config.experts, self.config.drive))
+        return (
+            f"IAC({', '.join(parts)}: {self.n_agents} agents, {self.n_decisions} decisions, "
+            f"{self.tree.n_rows} regions, on {self.device})"
+        )
 
     @property
     def n_agents(self) -> int:
@@ -312,6 +321,35 @@ class IAC(Stateful):
         """
         super().load_state(state)
         self._decision = None
+
+    @torch.no_grad()
+    def expert(self, region: int, agent: int = 0) -> Any:
+        """Return a copy of what predicts in a region now.
+
+        Args:
+            region: The number of a region that is a leaf, as steps and region tables have it.
+            agent: Which agent's, counted from 0.
+
+        Returns:
+            Of networks the region's, a `torch.nn.Module` that turns situations `(n, D)` in the unit
+            cube into outcomes `(n, K)` in scaled units; of nearest neighbours the
+            `RegionExamples`.
+
+        Raises:
+            ValueError: There is no such agent or leaf, or the experts have no method `expert`.
+        """
+        if not 0 <= agent < self.n_agents:
+            raise ValueError(f"agent must lie in [0, {self.n_agents}), got {agent}")
+        leaves = self.tree.leaves()
+        leaves = leaves[self.tree.agent[leaves] == agent]
+        found = leaves[self.tree.region[leaves] == region]
+        if not len(found):
+            there = ", ".join(map(str, sorted(self.tree.region[leaves].tolist())))
+            raise ValueError(f"region must be a leaf of agent {agent} ({there}), got {region}")
+        if not hasattr(self.experts, "expert"):
+            name = type(self.experts).__name__
+            raise ValueError(f"experts must have a method expert for this, got {name}")
+        return self.experts.expert(self.examples, int(self.tree.rows[found[0]]))
 
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""

@@ -4,28 +4,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self
 
-from torch_iac.drives.baselines import Error, Improvement, Novelty, Random
-from torch_iac.drives.choices import Choice, Greedy, Proportional, Softmax
-from torch_iac.drives.curriculum import Curriculum, Stage
+from torch_iac.drives.choices import Choice, Greedy
 from torch_iac.drives.learning_progress import (
-    AbsoluteProgress,
-    GlobalProgress,
-    MetaProgress,
     Progress,
 )
 from torch_iac.drives.protocol import Drive
 from torch_iac.experts.knn import KNNExperts
-from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
-from torch_iac.experts.stacked_networks import MLP
 from torch_iac.internal.parts import build, from_json, to_json
 from torch_iac.internal.validation import check_count
+from torch_iac.kinds import KINDS, PARTS, named
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
 
 @dataclass(frozen=True, kw_only=True)
 class IACConfig:
     """Every number of the algorithm; the defaults are the paper's (preset `iac2004`).
+
+    Experts, drive and choice can also be given by name, as the command has them: `drive="error"`,
+    `experts="mlp"`, `experts="my_module:MyNet"`.
 
     Raises:
         ValueError: A number is out of its range; the message names it, the rule and the value.
@@ -68,6 +65,15 @@ class IACConfig:
     otherwise they start with none."""
 
     def __post_init__(self) -> None:
+        for kind, (_, protocol) in KINDS.items():
+            value = getattr(self, kind)
+            if isinstance(value, str):
+                object.__setattr__(self, kind, named(kind, value))
+            elif isinstance(value, type):
+                raise ValueError(f"{kind} must be made, as {value.__name__}(), got the class")
+            elif not isinstance(value, protocol):
+                name = protocol.__name__
+                raise ValueError(f"{kind} must have what {name} has, got {value!r:.80}")
         for name in ("n_candidates", "max_examples", "window", "delay"):
             check_count(name, getattr(self, name), least=2 if name == "max_examples" else 1)
         for name, high in (("epsilon", 1), ("balance", 0.5)):
@@ -106,15 +112,3 @@ PRESETS = {
 }
 """The two papers' parameters. The 2007 robot also senses the toy's distance alone: in the toy room,
 `beams=0, toy_direction=False`."""
-
-
-PARTS: dict[str, type] = {
-    part.__name__: part
-    for part in (
-        *(KNNExperts, MLPExperts, NetworkExperts, MLP, MetaPredictor, ImprovementPredictor),
-        *(Progress, AbsoluteProgress, GlobalProgress, MetaProgress),
-        *(Error, Novelty, Improvement, Random, Curriculum, Stage),
-        *(Greedy, Proportional, Softmax),
-    )
-}
-"""What a config can be made of, by the names that its JSON has for them."""

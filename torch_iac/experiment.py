@@ -22,7 +22,7 @@ from torch_iac.internal.validation import check_count
 from torch_iac.memory_estimate import check_memory, check_world_memory
 from torch_iac.runs.checkpoint import Checkpoints, identity
 from torch_iac.runs.reader import Run, load_run
-from torch_iac.runs.recorder import Recorder
+from torch_iac.runs.recorder import KEYS, Recorder
 from torch_iac.runs.schema import CHECKPOINTS, CONFIG, SUMMARY
 from torch_iac.space import SensorimotorSpace
 from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
@@ -43,8 +43,9 @@ MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
 
-CONFIG_KEY, MADE_IN = "iac", "made_in"
-"""Where config.json keeps the config, and the folder that was the present one."""
+CONFIG_KEY, BOUNDS, MADE_IN, COMMAND = "iac", "bounds", "made_in", "command"
+"""Where config.json keeps the config, bounds that are not the world's own, the folder that was the
+present one and what was typed."""
 
 log = logging.getLogger(__name__)
 
@@ -273,7 +274,7 @@ class Experiment:
             FloatingPointError: A loss is not finite.
         """
         folder = _new_folder(self.world) if folder is None else Path(folder)
-        origin = {MADE_IN: str(Path.cwd()), **({"command": list(command)} if command else {})}
+        origin = {MADE_IN: str(Path.cwd()), **({COMMAND: list(command)} if command else {})}
         return self._live(folder, None, origin, stop)
 
     def run_or_resume(self, folder: Path | str, *, stop: Callable[[], bool] = lambda: False) -> Run:
@@ -318,7 +319,8 @@ class Experiment:
         with _threads(n_agents):
             world, bounds = self.bounded_world(bounds=known)
             try:
-                space, n_recorded = self.space_of(world), self._n_recorded()
+                space = self.space_of(world)
+                n_recorded = self._n_recorded() if earlier is None else earlier.n_recorded
                 check_memory(space, self.config, n_agents, self.steps, n_recorded, device)
                 self._say_what_was_found(bounds, earlier)
                 # A world that cannot begin leaves no run folder.
@@ -407,7 +409,7 @@ def resume(
             f"steps must be above the {run.n_decisions} that {run.folder} has ended with, "
             f"got {steps}"
         )
-    origin = {name: run.config[name] for name in (MADE_IN, "command") if name in run.config}
+    origin = {name: run.config[name] for name in (MADE_IN, COMMAND) if name in run.config}
     began_on, here = run.config.get("processor"), processor()
     if not rounds_alike(began_on, here, experiment.is_exact):
         log.info(
@@ -480,6 +482,9 @@ def _from_config(content: Any, path: Path) -> Experiment:
             f"{path} must be the run of an experiment (torch-iac train, or Experiment.run), "
             "got one that names no world"
         )
+    for name in content:
+        if name not in (*names, *KEYS, BOUNDS, MADE_IN, COMMAND):
+            raise ValueError(f"{path} must have fields among {', '.join(names)}, got {name}")
     for folder in (content.get(MADE_IN), str(Path.cwd())):
         if isinstance(folder, str):
             make_importable(folder)
@@ -511,7 +516,7 @@ def _description(bounds: Bounds | None) -> dict[str, Any]:
     """Return what config.json says besides the experiment."""
     if bounds is None:
         return {}
-    return {"bounds": {"given": list(bounds.given), "found": list(bounds.found)}}
+    return {BOUNDS: {"given": list(bounds.given), "found": list(bounds.found)}}
 
 
 @contextmanager

@@ -103,6 +103,8 @@ class SensorimotorSpace:
         """
         actions = _dimensions(env, "action")
         sensors = _dimensions(env, "observation")
+        if isinstance(outcomes, str) and outcomes != "all":
+            raise ValueError(f"outcomes must be all or a list of sensors, got {outcomes!r}")
         if outcomes == "all":
             return cls(actions, sensors, sensors)
         by_name = {dimension.name: dimension for dimension in sensors}

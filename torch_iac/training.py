@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import gymnasium as gym
 from torch import Tensor
 
 from torch_iac.agent import IAC
@@ -62,6 +63,8 @@ def train(
             world whose episodes end was not made with `AutoresetMode.SAME_STEP`.
         FloatingPointError: A loss is not finite.
     """
+    if not isinstance(env, gym.vector.VectorEnv):
+        raise ValueError(f"env must be a vector of worlds, as gymnasium.make_vec makes, got {env}")
     if env.num_envs != agent.n_agents:
         raise ValueError(
             f"env must have as many worlds as there are agents ({agent.n_agents}), "

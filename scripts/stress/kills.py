@@ -25,7 +25,7 @@ import tyro
 from tqdm import tqdm
 
 from tests.same_run import differences
-from torch_iac.cli.options import DRIVES
+from torch_iac.kinds import DRIVES
 from torch_iac.runs.schema import CHECKPOINTS
 
 WORLDS = {"toyroom": ("--agents", "1"), "kinematic": ("--agents", "2")}

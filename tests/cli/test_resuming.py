@@ -183,9 +183,9 @@ def test_a_damaged_checkpoint_is_noticed_and_the_one_before_is_used(
         (lambda folder: shutil.rmtree(folder), "holds no run"),
         (lambda folder: (folder / "config.json").write_text("[" * 10**6), "nested at most"),
         (lambda folder: (folder / "config.json").write_text("{}"), "it has no space"),
-        (lambda folder: edit(folder, '"--steps"', '"--stops"'), "stops"),
-        (lambda folder: edit(folder, '"torch-iac"', '"rm"'), "must be a run of torch-iac train"),
-        (lambda folder: edit(folder, '"15"', '"16"'), "config.max_examples must be 15"),
+        (lambda folder: edit(folder, '"steps":', '"stops":'), "got stops"),
+        (lambda folder: edit(folder, '"world":', '"word":'), "must be the run of an experiment"),
+        (lambda folder: edit(folder, '_examples": 15', '_examples": 16'), "must be 15"),
     ],
 )
 def test_what_cannot_be_resumed_is_refused(

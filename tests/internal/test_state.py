@@ -15,7 +15,6 @@ from torch_iac import (
     Choice,
     Drive,
     Error,
-    Examples,
     Experts,
     Greedy,
     IACConfig,
@@ -27,10 +26,11 @@ from torch_iac import (
     Proportional,
     SensorimotorSpace,
     Softmax,
-    Split,
     Stateful,
     Step,
 )
+from torch_iac.regions.examples import Examples
+from torch_iac.regions.tree import Split
 
 
 class Residual(nn.Module):

@@ -410,8 +410,8 @@ def test_what_makes_a_run_is_its_version_space_config_and_seeds(
 
 def test_another_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     two(tmp_path)
-    monkeypatch.setattr(checkpoint, "FORMAT", 2)
-    with pytest.raises(ValueError, match=r"format must be 2 for this version to read .*, got 1"):
+    monkeypatch.setattr(checkpoint, "FORMAT", 3)
+    with pytest.raises(ValueError, match=r"format must be 3 for this version to read .*, got 2"):
         checkpoints(tmp_path).read()
 
 

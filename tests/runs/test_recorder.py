@@ -17,6 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.synthetic_run import SPACE, ZONES, SyntheticPopulation, write_run
+from torch_iac.config import IACConfig
+from torch_iac.internal.processor import processor
 from torch_iac.records import Step
 from torch_iac.runs import reader, statistics
 from torch_iac.runs import recorder as run_recorder
@@ -130,7 +132,7 @@ def test_of_a_large_population_the_first_agents_are_recorded_and_windows_of_all(
         write_run(tmp_path / "few", 4, 600, shadows={"knn": 2.0}, meta=True, n_recorded=2)
     )
     assert (few.n_recorded, few.n_agents, few.n_decisions) == (2, 4, 600)
-    assert few.config["recorded_agents"] == 2
+    assert few.config["n_recorded"] == 2
     assert few.steps == whole.steps.filter(pc.field("agent") < 2)
     assert few.regions == whole.regions
     windows = [pq.read_table(sorted((run.folder / "windows").iterdir())) for run in (whole, few)]
@@ -323,7 +325,10 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
         "seeds": [100, 101],
         "zones": ["f1", "f2", "f3"],
         "shadows": [],
-        "recorded_agents": 2,
+        "n_recorded": 2,
+        "iac": IACConfig(meta=None).to_json(),
+        "processor": processor(),
+        "versions": config["versions"],
     }
 
 

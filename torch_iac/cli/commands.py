@@ -3,17 +3,12 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
+from torch_iac.cli.parser import POSITIONAL, REPEATED, Parser, sentence_of, with_values
 from torch_iac.internal.validation import check_count
 from torch_iac.replay.length import N_DECISIONS
-
-MAX_DIGITS = 4_000
-"""Python itself reads no longer whole numbers."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +19,7 @@ class Resume:
         ValueError: `steps` is below 1 or too large.
     """
 
-    run_folder: Annotated[Path, tyro.conf.Positional]
+    run_folder: Annotated[Path, POSITIONAL]
     """The run folder."""
     steps: int | None = None
     """How many decisions each robot takes in all; by default as many as when the run began."""
@@ -42,9 +37,9 @@ class Compare:
     folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
     """
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Annotated[Path, POSITIONAL]
     """The folder of all the runs and of the report."""
-    variant: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    variant: Annotated[tuple[str, ...], REPEATED] = ()
     """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
     first is what others are compared with."""
     variants: Path | None = None
@@ -74,7 +69,7 @@ class Compare:
 class Figures:
     """Draw a run into its folder: the paper's figures 2 and 3, and errors of shadows and of MP."""
 
-    run_folder: Annotated[Path, tyro.conf.Positional]
+    run_folder: Annotated[Path, POSITIONAL]
     """The run folder."""
     pdf: bool = False
     """Also write each figure as a vector graphic."""
@@ -90,7 +85,7 @@ class Replay:
         ValueError: `decisions` is below 1 or too large.
     """
 
-    run_folder: Annotated[Path, tyro.conf.Positional]
+    run_folder: Annotated[Path, POSITIONAL]
     """The run folder."""
     at: tuple[int, ...] = ()
     """Decisions from which on to film; by default the beginning, the first focus on f3 and on f2,
@@ -118,60 +113,31 @@ KINDS: dict[str, type[Options]] = {
 """The commands by name."""
 
 
+USAGE = {
+    "resume": "RUN_FOLDER [OPTION ...]",
+    "compare": "FOLDER [OPTION ...] [-- OPTION_OF_TRAIN ...]",
+    "figures": "RUN_FOLDER [OPTION ...]",
+    "replay": "RUN_FOLDER [OPTION ...]",
+}
+"""What follows each command."""
+
+
 def parse(words: Sequence[str]) -> Options:
-    """Return what one of these commands was told; help and refusals end the program.
+    """Return what one of these commands was told; help ends the program.
 
     Args:
         words: The command's name and its options.
-    """
-    name, *options = words
-    return tyro.cli(
-        KINDS[name],
-        prog=f"torch-iac {name}",
-        args=split_at_dashes(options)[0] if name == "compare" else options,
-        config=(tyro.conf.AvoidSubcommands,),
-        registry=numbers_registry(),
-    )
-
-
-def numbers_registry() -> tyro.constructors.ConstructorRegistry:
-    """Return how numbers are read: whole ones also as 1e4 and 10_000."""
-    registry = tyro.constructors.ConstructorRegistry()
-
-    @registry.primitive_rule
-    def whole_numbers(
-        info: tyro.constructors.PrimitiveTypeInfo,
-    ) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
-        if info.type is not int:
-            return None
-        return tyro.constructors.PrimitiveConstructorSpec(
-            nargs=1,
-            metavar="INT",
-            instance_from_str=lambda words: whole_number(words[0]),
-            is_instance=lambda value: isinstance(value, int) and not isinstance(value, bool),
-            str_from_instance=lambda number: [str(number)],
-        )
-
-    return registry
-
-
-def whole_number(text: str) -> int:
-    """Return the whole number that a text such as 10000, 10_000 or 1e4 is.
 
     Raises:
-        ValueError: It is none.
+        ValueError: A word is refused.
     """
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        number = Decimal(text)
-    except InvalidOperation:
-        number = Decimal("NaN")
-    if not number.is_finite() or number.adjusted() > MAX_DIGITS or number != number.to_integral():
-        raise ValueError(f"must be a whole number, got {text:.80}")
-    return int(number)
+    name, *options = words
+    kind = KINDS[name]
+    parser = Parser(f"torch-iac {name}", USAGE[name], sentence_of(kind))
+    defaults = kind(Path())
+    parser.add_options(defaults)
+    values = parser.read(split_at_dashes(options)[0] if name == "compare" else options)
+    return with_values(defaults, values)
 
 
 def split_at_dashes(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -8,9 +8,8 @@ from typing import Any
 import gymnasium as gym
 
 from torch_iac.cli.commands import Compare
-from torch_iac.cli.exits import StoppedBySignalError
+from torch_iac.cli.exits import StoppedBySignalError, leave
 from torch_iac.cli.options import experiment_of
-from torch_iac.cli.parser_errors import leave
 from torch_iac.compare.executors import carry_out, on_processes, on_ray, run_experiment
 from torch_iac.compare.plan import (
     PLAN,

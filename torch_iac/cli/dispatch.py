@@ -7,9 +7,8 @@ import gymnasium as gym
 
 from torch_iac.cli.commands import Compare, Figures, Options, Resume, split_at_dashes
 from torch_iac.cli.compare import compare
-from torch_iac.cli.exits import StoppedBySignalError, one_line
+from torch_iac.cli.exits import StoppedBySignalError, leave, one_line
 from torch_iac.cli.options import Train
-from torch_iac.cli.parser_errors import leave
 from torch_iac.cli.replay import replay
 from torch_iac.cli.train import resume, train
 

@@ -1,5 +1,8 @@
 """How commands end: by a signal, and errors in one line."""
 
+import sys
+from typing import NoReturn
+
 
 class StoppedBySignalError(Exception):
     """A command was asked to stop, and did so; the sentence says how to go on.
@@ -19,3 +22,9 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join("; ".join([text, *getattr(error, "__notes__", ())]).split())
+
+
+def leave(code: int, sentence: str) -> NoReturn:
+    """End the program with a sentence on stderr and an exit code."""
+    print(f"torch-iac: {sentence}", file=sys.stderr)  # noqa: T201 - the command's answer
+    sys.exit(code)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from torch_iac.cli.parser_errors import leave, plain_refusals
+from torch_iac.cli.exits import leave
 from torch_iac.cli.typos import check_command, check_options
 
 if TYPE_CHECKING:
@@ -70,15 +70,14 @@ def _options(words: Sequence[str]) -> "Train | Options":
     """Return what a command was told; what is refused ends the program."""
     try:
         check_command(words[0] if words else "none", list(COMMANDS))
-        with plain_refusals():
-            if words[0] == "train":
-                check_options(words[1:])
-                from torch_iac.cli.options import parse_train
+        if words[0] == "train":
+            check_options(words[1:])
+            from torch_iac.cli.options import parse_train
 
-                return parse_train(words[1:])
-            from torch_iac.cli.commands import parse
+            return parse_train(words[1:])
+        from torch_iac.cli.commands import parse
 
-            return parse(words)
+        return parse(words)
     except ValueError as error:
         leave(2, " ".join(str(error).split()))
 

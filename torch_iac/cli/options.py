@@ -1,95 +1,37 @@
 """The options of `torch-iac train`, and the experiment that they describe."""
 
-import io
 from argparse import ArgumentParser
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from difflib import get_close_matches
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import tyro
-from torch import nn
+from typing_extensions import TypeIs
 
-from torch_iac.cli.commands import numbers_registry
-from torch_iac.cli.parser_errors import plain_refusals
+from torch_iac.cli.parser import Parser, is_part, sentence_of, with_values
 from torch_iac.config import PRESETS, IACConfig
-from torch_iac.drives.baselines import Error, Improvement, Novelty, Random
-from torch_iac.drives.choices import Choice, Greedy, Proportional, Softmax
-from torch_iac.drives.curriculum import Curriculum
-from torch_iac.drives.learning_progress import (
-    AbsoluteProgress,
-    GlobalProgress,
-    MetaProgress,
-    Progress,
-)
-from torch_iac.drives.protocol import Drive
 from torch_iac.experiment import MOST_SEEDS, SEEDS, Experiment, load_experiment
-from torch_iac.experts.knn import KNNExperts
-from torch_iac.experts.network import MLPExperts, NetworkExperts
-from torch_iac.experts.protocol import Experts
-from torch_iac.internal.parts import import_object, make_importable
+from torch_iac.experts.network import NetworkExperts
 from torch_iac.internal.validation import check_count
+from torch_iac.kinds import KINDS, named
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 from torch_iac.training import CHECKPOINT_EVERY
 from torch_iac.worlds.bounds import parse_bounds
 from torch_iac.worlds.options import parse_options
 
-EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
-"""What the kinds of experts are called."""
-DRIVES: dict[str, type[Drive]] = {
-    "progress": Progress,
-    "meta_progress": MetaProgress,
-    "absolute_progress": AbsoluteProgress,
-    "global_progress": GlobalProgress,
-    "error": Error,
-    "novelty": Novelty,
-    "improvement": Improvement,
-    "curriculum": Curriculum,
-    "random": Random,
+GROUPS = {
+    "what most runs choose": (
+        *("world", "experts", "drive", "choice", "steps", "agents", "seed", "out", "device"),
+        *("shadows", "mp", "preset", "config"),
+    ),
+    "world": ("outcomes", "world_options", "hold", "sensor_bounds", "bounds_from"),
+    "recording": ("log_every", "recorded_rows", "recorded_agents", "checkpoint_every"),
 }
-"""What the drives are called."""
-CHOICES: dict[str, type[Choice]] = {
-    "greedy": Greedy,
-    "proportional": Proportional,
-    "softmax": Softmax,
-}
-"""What the choices are called."""
+"""The options of `Train`, as the help has them."""
 
-KINDS: dict[str, tuple[Mapping[str, type], type]] = {
-    "experts": (EXPERTS, Experts),
-    "drive": (DRIVES, Drive),
-    "choice": (CHOICES, Choice),
-}
-"""The parts that have a name: the library's own, and what any other must be."""
-
-Plain = tyro.conf.arg(name="")
-"""The options of a part are named without the part's own name before theirs."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings(IACConfig):
-    """The numbers of the algorithm, as options of the command; `Any` is what the default is."""
-
-    experts: Any = field(default_factory=KNNExperts)
-    """What predicts the outcome in each region."""
-    network: Annotated[Any, tyro.conf.arg(name="experts")] = None
-    """The network of a user's own in each region, if its factory has fields."""
-    drive: Any = field(default_factory=Progress)
-    """What a candidate action is worth."""
-    choice: Any = field(default_factory=Greedy)
-    """Which candidate is taken, given what each is worth."""
-    shadows: tyro.conf.Suppress[Mapping[str, Experts]] = field(default_factory=dict)
-    """No option here: `Train` has it."""
-
-    def config(self, shadows: Mapping[str, Experts]) -> IACConfig:
-        """Return the config that they describe."""
-        numbers = {f.name: getattr(self, f.name) for f in fields(IACConfig)}
-        if self.network is not None:
-            numbers["experts"] = replace(self.experts, module=self.network)
-        return IACConfig(**{**numbers, "shadows": shadows or numbers["shadows"]})
+PART_FIELDS = ("experts", "drive", "choice", "meta", "improvement")
+"""The fields of a config that have options of their own."""
 
 
 @dataclass(frozen=True)
@@ -107,34 +49,34 @@ class Train:
     """Where the robots live: toyroom, simulated by pybullet; kinematic, its twin in plain
     arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
     Pendulum-v1 or module:id."""
-    preset: Literal["iac2004", "iac2007"] = "iac2004"
-    """Which paper's numbers the options start from; they are the defaults shown here."""
-    config: Path | None = None
-    """A JSON file with an experiment, such as config.json of a run, that the options start from."""
     experts: str = "knn"
     """What predicts in each region: knn, mlp, or module:Name, experts or a network of your own. Its
     options are among those below."""
-    shadows: tuple[str, ...] = ()
-    """Other experts, which predict and learn on the same stream without any influence."""
     drive: str = "progress"
     """What the robot wants: progress, meta_progress, absolute_progress, global_progress, error,
     novelty, improvement, curriculum, random, or module:Name, a drive of your own."""
     choice: str = "greedy"
     """Which candidate action is taken, given what each is worth: greedy, proportional, softmax, or
     module:Name."""
-    mp: bool = True
-    """Whether the meta-predictor MP learns what errors to expect; some drives need it."""
     steps: int = 10_000
     """How many decisions each robot takes."""
-    seed: int = 0
-    """Seed of the first robot; each further one has the next."""
     agents: int = 1
     """How many robots, each in a world of its own."""
+    seed: int = 0
+    """Seed of the first robot; each further one has the next."""
     out: Path | None = None
     """The run folder; by default a new one in runs/, named by the time."""
     device: str = "cpu"
     """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
     there is one)."""
+    shadows: tuple[str, ...] = ()
+    """Other experts, which predict and learn on the same stream without any influence."""
+    mp: bool = True
+    """Whether the meta-predictor MP learns what errors to expect; some drives need it."""
+    preset: Literal["iac2004", "iac2007"] = "iac2004"
+    """Which paper's numbers the options start from; they are the defaults shown here."""
+    config: Path | None = None
+    """A JSON file with an experiment, such as config.json of a run, that the options start from."""
     outcomes: tuple[str, ...] = ()
     """The sensors to predict, or all; by default what the paper predicts in the toy room, and all
     elsewhere."""
@@ -157,8 +99,8 @@ class Train:
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
-    iac: Annotated[Settings, Plain] = field(default_factory=Settings)
-    """The numbers of the algorithm."""
+    iac: IACConfig = field(default_factory=IACConfig)
+    """The numbers of the algorithm, without shadows."""
 
     def __post_init__(self) -> None:
         check_count("agents", self.agents)
@@ -175,9 +117,10 @@ class Train:
             ValueError: A number is out of its range.
         """
         names = {f.name for f in fields(Experiment)} & {f.name for f in fields(self)}
+        shadows = {name: named("experts", name) for name in self.shadows}
         return Experiment(
             **{name: getattr(self, name) for name in names - {"config", *_TEXTS}},
-            config=self.iac.config({name: part("experts", name) for name in self.shadows}),
+            config=replace(self.iac, shadows=shadows) if shadows else self.iac,
             seeds=range(self.seed, self.seed + self.agents),
             world_options=parse_options(self.world_options),
             sensor_bounds=parse_bounds(self.sensor_bounds),
@@ -189,95 +132,67 @@ _TEXTS = ("world_options", "sensor_bounds")
 
 
 def experiment_of(words: Sequence[str]) -> Experiment:
-    """Return the experiment that options of `torch-iac train` describe, without any output.
+    """Return the experiment that options of `torch-iac train` describe.
 
     Raises:
         ValueError: They are refused.
     """
-    try:
-        with redirect_stdout(io.StringIO()), plain_refusals():
-            return parse_train(words).experiment()
-    except SystemExit:
-        raise ValueError("words must be options of torch-iac train, got --help") from None
+    if {"-h", "--help"} & set(words):
+        raise ValueError("words must be options of torch-iac train, got --help")
+    return parse_train(words).experiment()
 
 
 def parse_train(words: Sequence[str]) -> Train:
-    """Return what `torch-iac train` makes of its options; help and refusals end the program."""
-    return tyro.cli(
-        Train,
-        default=_defaults(words),
-        prog="torch-iac train",
-        args=words,
-        config=(tyro.conf.AvoidSubcommands, tyro.conf.SuppressFixed),
-        registry=numbers_registry(),
-    )
-
-
-def part(kind: str, name: str) -> Any:
-    """Return a part of a config, with its default numbers, by its name.
-
-    Args:
-        kind: Experts, drive or choice.
-        name: One of the library's own, or `module:Name`: a class of a user's own; for experts also
-            a module or a factory of one, which is then in each region.
+    """Return what `torch-iac train` is told by its options; `--help` ends the program.
 
     Raises:
-        ValueError: There is none of that name, or it is something else.
+        ValueError: They are refused.
     """
-    known, protocol = KINDS[kind]
-    if name in known:
-        return known[name]()
-    if ":" not in name:
-        near = get_close_matches(name, known, 1)
-        perhaps = f"; perhaps you meant {near[0]}" if near else ""
-        raise ValueError(f"{kind} must be {', '.join(known)} or module:Name, got {name}{perhaps}")
-    make_importable(Path.cwd())
-    found = import_object(name, kind)
-    if kind == "experts" and not hasattr(found, "pool"):
-        is_factory = is_dataclass(found) and not issubclass(found, nn.Module)  # type: ignore[arg-type]
-        return NetworkExperts(module=_made(found, kind, name) if is_factory else found)
-    made = _made(found, kind, name)
-    if not isinstance(made, protocol):
-        raise ValueError(f"{kind} must have what {protocol.__name__} has, got {name}")
-    return made
+    start = _start(words)
+    parser = Parser("torch-iac train", "[OPTION ...]", sentence_of(Train))
+    for title, names in GROUPS.items():
+        parser.add_options(start, title, names=names)
+    numbers = {f.name for f in fields(IACConfig)} - set(PART_FIELDS)
+    parser.add_options(start.iac, "numbers of the algorithm", names=numbers)
+    for name in PART_FIELDS:
+        value = getattr(start.iac, name)
+        if is_part(value):
+            parser.add_options(value, f"{name} ({type(value).__name__})", f"{name}.")
+        if is_network(value):
+            parser.add_options(value.module, f"network ({type(value.module).__name__})", f"{name}.")
+    values = parser.read(words)
+    config = with_values(start.iac, values)
+    if is_network(config.experts):
+        network = with_values(config.experts.module, values, "experts.")
+        config = replace(config, experts=replace(config.experts, module=network))
+    return replace(with_values(start, values), iac=config)
 
 
-def _made(found: Callable[[], Any], kind: str, name: str) -> Any:
-    """Return an object of a class with its default numbers."""
-    try:
-        return found() if isinstance(found, type) else found
-    except TypeError as error:
-        raise ValueError(
-            f"{kind} must have defaults for all fields, got {name} ({error})"
-        ) from None
+def is_network(experts: Any) -> TypeIs[NetworkExperts]:
+    """Return whether experts are networks of a factory with numbers of its own."""
+    return isinstance(experts, NetworkExperts) and is_part(experts.module)
 
 
-def _defaults(words: Sequence[str]) -> Train:
+def _start(words: Sequence[str]) -> Train:
     """Return what the choice of a file, a preset and of parts makes of the other options."""
     parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("config", "preset", *KINDS):
-        parser.add_argument(f"--{name}", nargs="?")  # tyro will say if the value is missing
-    parser.add_argument("--no-mp", action="store_true")
+        parser.add_argument(f"--{name}", nargs="?")  # a missing value is refused later
     chosen = vars(parser.parse_known_args(words)[0])
+    no_mp = {"--no-mp", "--no_mp"} & set(words)
     start = Train() if chosen["config"] is None else _from_file(Path(chosen["config"]))
-    numbers = {f.name: getattr(start.iac, f.name) for f in fields(Settings)}
-    if chosen["preset"] in PRESETS:
-        preset = PRESETS[chosen["preset"]]
-        numbers |= {f.name: getattr(preset, f.name) for f in fields(preset)}
-    if chosen["no_mp"]:
-        numbers["meta"] = None
-    for name in KINDS:
-        if chosen[name] is not None:
-            numbers[name] = part(name, chosen[name])
-            numbers["network"] = None if name == "experts" else numbers["network"]
-    experts = numbers["experts"]
-    if isinstance(experts, NetworkExperts) and is_dataclass(experts.module):
-        numbers["network"] = experts.module
-    if "meta" in numbers["drive"].needs and numbers["meta"] is None and not chosen["no_mp"]:
-        numbers["meta"] = MetaPredictor()
-    if "improvement" in numbers["drive"].needs and numbers["improvement"] is None:
-        numbers["improvement"] = ImprovementPredictor()
-    return replace(start, iac=Settings(**numbers))
+    config = PRESETS.get(chosen["preset"], start.iac)
+    changes: dict[str, Any] = {
+        kind: named(kind, chosen[kind]) for kind in KINDS if chosen[kind] is not None
+    }
+    if no_mp:
+        changes["meta"] = None
+    needs = changes.get("drive", config.drive).needs
+    if "meta" in needs and config.meta is None and not no_mp:
+        changes["meta"] = MetaPredictor()
+    if "improvement" in needs and config.improvement is None:
+        changes["improvement"] = ImprovementPredictor()
+    return replace(start, iac=replace(config, **changes))
 
 
 def _from_file(path: Path) -> Train:
@@ -292,8 +207,6 @@ def _from_file(path: Path) -> Train:
     if list(experiment.seeds) != list(range(first, first + n_agents)):
         raise ValueError(f"seeds in {path} must follow each other, got {experiment.seeds}")
     names = {f.name for f in fields(Experiment)} & {f.name for f in fields(Train)}
-    config = experiment.config
-    numbers = {f.name: getattr(config, f.name) for f in fields(config)}
     bounds = experiment.sensor_bounds.items()
     return Train(
         **{name: getattr(experiment, name) for name in names - {"config", *_TEXTS}},
@@ -302,5 +215,6 @@ def _from_file(path: Path) -> Train:
         world_options=tuple(f"{n}={dumps(of)}" for n, of in experiment.world_options.items()),
         sensor_bounds=tuple(f"{name}={low!r},{high!r}" for name, (low, high) in bounds),
         config=path,
-        iac=Settings(**numbers),
+        iac=experiment.config,
+        mp=experiment.config.meta is not None,
     )

@@ -36,9 +36,6 @@ NAME = re.compile(r"--([a-z][\w.-]*)", re.IGNORECASE)
 VALUE = re.compile(r"-?\d.*|-|[^-].*|", re.DOTALL)
 """A word that is no option, such as a negative number."""
 
-PARSERS_OWN = re.compile(r"help|tyro-.+")
-"""Options that the parser adds."""
-
 OWN = re.compile(r"(--(experts|drive|choice|shadows)=)?\w[\w.]*:\w")
 """A part of a user's own, such as `my_module:MyNet`."""
 
@@ -121,4 +118,4 @@ def _plain(option: str) -> str:
 
 
 def _is_known(name: str, known: set[str]) -> bool:
-    return name in known or name.isdigit() or bool(PARSERS_OWN.fullmatch(name))
+    return name in known or name.isdigit() or name == "help"

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch_iac.internal import kernels
 from torch_iac.internal.state import Stateful
 from torch_iac.internal.validation import check_count
-from torch_iac.regions.examples import NO_EXAMPLE_OUTCOME, Examples
+from torch_iac.regions.examples import NO_EXAMPLE_OUTCOME, Examples, RegionExamples
 from torch_iac.regions.tree import Split
 
 
@@ -66,6 +66,10 @@ class KNNExperts(Stateful):
 
     def split(self, examples: Examples, split: Split) -> None:
         """Do nothing: the examples are parted already."""
+
+    def expert(self, examples: Examples, row: int) -> RegionExamples:
+        """Return a copy of the examples of a region, among which it looks for the nearest."""
+        return examples.of(row)
 
 
 def _first_least(distances: Tensor) -> Tensor:

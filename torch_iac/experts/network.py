@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torch_iac.experts.stacked_networks import MLP, Factory, StackedNetworks, Training, pick
 from torch_iac.internal.losses import squared_error
@@ -47,11 +47,23 @@ class NetworkExperts(NetworkTraining):
     At every decision the network of the region takes `minibatches` steps down the mean squared
     error of its predictions, in scaled units, over random examples that the region holds.
 
+    Raises:
+        ValueError: A number is out of its range, or the module is a network already.
+
     Source: the networks are this library's; Oudeyer, Kaplan and Hafner (2007) allow any learner.
     """
 
     module: Factory = field(default_factory=MLP)
     """Makes the network from the numbers of its inputs and outputs."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.module, nn.Module):
+            name = type(self.module).__name__
+            raise ValueError(
+                "module must make a network from its numbers of inputs and outputs, as a class or "
+                f"a function does, got one that is made: {name}"
+            )
 
     def pool(
         self, situation_dim: int, outcome_dim: int, seeds: Sequence[int], device: torch.device
@@ -131,6 +143,10 @@ class NetworkPool(Stateful):
         A loss is the mean squared error, in scaled units, over the last minibatch.
         """
         return self._train(examples, rows, self._picks.at(step))
+
+    def expert(self, examples: Examples, row: int) -> nn.Module:  # noqa: ARG002
+        """Return a copy of the network of a region."""
+        return self.networks.network(row)
 
     def split(self, examples: Examples, split: Split) -> None:
         """Give the children their parents' weights, or new ones trained on what they inherit."""

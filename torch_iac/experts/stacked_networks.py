@@ -3,6 +3,7 @@
 Shapes: `L` networks (rows), `P` weights of one of them, `M` minibatches, `B` examples in each.
 """
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -166,6 +167,12 @@ class StackedNetworks(Stateful):
         """Copy weights, and what the optimiser remembers, from rows `(F,)` to new rows `(F,)`."""
         for column in (self._weights, *self._memory):
             column[new_rows] = column[rows]
+
+    def network(self, row: int) -> nn.Module:
+        """Return a copy of one network, a module of its own that can learn."""
+        module = copy.deepcopy(self._template).requires_grad_(True)
+        nn.utils.vector_to_parameters(self._weights[row].clone(), module.parameters())
+        return module
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
         """Return what networks `(A,)` make of inputs `(A, B, n_inputs)`: `(A, B, n_outputs)`."""

@@ -6,6 +6,7 @@ follows the number of leaves and not the size of the largest tree. `L` is the nu
 """
 
 import math
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -16,6 +17,19 @@ from torch_iac.regions.tree import Split
 
 NO_EXAMPLE_OUTCOME = 0.5
 """What is predicted without any example, in scaled units: the middle (the papers do not say)."""
+
+
+@dataclass(frozen=True)
+class RegionExamples:
+    """What one region holds, oldest first.
+
+    Attributes:
+        situations: Shape `(N, D)`, in the unit cube.
+        outcomes: Shape `(N, K)`, in scaled units.
+    """
+
+    situations: Tensor
+    outcomes: Tensor
 
 
 class Examples(Stateful):
@@ -72,6 +86,12 @@ class Examples(Stateful):
         counts += 1
         self.counts.index_copy_(0, rows, counts)
         return counts
+
+    def of(self, row: int) -> RegionExamples:
+        """Return a copy of what a leaf holds."""
+        n = int(self.counts[row])
+        situations, outcomes = self.situations[row, :, :n], self.outcomes[row, :, :n]
+        return RegionExamples(situations.mT.clone(), outcomes.mT.clone())
 
     def split(self, split: Split, goes_right: Tensor) -> None:
         """Part the examples of regions between their children, each side in order of age.

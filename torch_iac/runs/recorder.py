@@ -54,6 +54,9 @@ LOGS_PER_DOUBLING = 500
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "pybullet-arm64", "mujoco")
 """What config.json tells the versions of."""
 
+KEYS = "versions", "processor", "iac", "space", "seeds", "zones", "shadows", "n_recorded"
+"""What the recorder itself writes in config.json."""
+
 
 class Recorded(Protocol):
     """What a recorder asks of the agent that it records; `IAC` has it."""
@@ -154,7 +157,7 @@ class Recorder:
             "seeds": agent.seeds,
             "zones": zone_names,
             "shadows": shadows,
-            "recorded_agents": n_recorded,
+            "n_recorded": n_recorded,
         }
         write_config(self.folder, {**(config or {}), **known})
         self._agent, self._log_every = agent, log_every
