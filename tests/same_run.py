@@ -22,7 +22,7 @@ def contents(folder: Path) -> dict[str, Any]:
     """Return what a run has come to, whenever and however fast it was."""
     run = load_run(folder)
     summary = {name: value for name, value in run.summary.items() if "second" not in name}
-    windows = run.windows.counts.tobytes() + run.windows.sums["error"].tobytes()
+    windows = run.window_sums.counts.tobytes() + run.window_sums.sums["error"].tobytes()
     found = {"steps": run.steps, "regions": run.regions, "summary": summary, "windows": windows}
     last = max((folder / CHECKPOINTS).glob("*/state.safetensors"))
     for name, tensor in load_file(last).items():

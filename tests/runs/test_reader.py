@@ -348,3 +348,30 @@ def test_a_decision_ends_in_the_leaf_that_came_of_its_region(run: Run) -> None:
         np.testing.assert_array_equal(leaves[last + 1 :, agent], regions[last + 1 :, agent])
         for leaf, region in zip(leaves[:, agent], regions[:, agent], strict=True):
             assert region == leaf or region in ancestors(run, int(leaf), agent)
+
+
+def test_windows_are_a_table_that_pandas_reads(run: Run) -> None:
+    frame = run.windows.to_pandas()
+    assert list(frame.columns[:5]) == ["step", "agent", "seed", "zone", "decisions"]
+    assert len(frame) == 7 * N_AGENTS * len(ZONES)
+    steps = run.steps.to_pandas()
+    for _, row in frame.iterrows():
+        inside = (steps.step >= row.step) & (steps.step < row.step + 250)
+        there = steps[inside & (steps.agent == row.agent) & (steps.zone == ZONES.index(row.zone))]
+        assert (row.decisions, row.seed) == (len(there), 100 + row.agent)
+        assert_allclose([row.error, row.progress], [there.error.mean(), there.progress.mean()])
+
+
+def test_progress_by_region_is_a_table(run: Run) -> None:
+    frame = run.region_progress(every=400).to_pandas()
+    steps = run.steps.to_pandas()
+    assert frame.decisions.sum() == len(steps)
+    assert sorted(frame.step.unique()) == [0, 400, 800, 1200]
+    row = frame.iloc[len(frame) // 2]
+    inside = (steps.step >= row.step) & (steps.step < row.step + 400)
+    there = steps[inside & (steps.agent == row.agent) & (steps.region == row.region)]
+    there = there[there.zone == ZONES.index(row.zone)]
+    assert row.decisions == len(there)
+    assert_allclose([row.error, row.progress], [there.error.mean(), there.progress.mean()])
+    with pytest.raises(ValueError, match="every must be at least 1, got 0"):
+        run.region_progress(0)

@@ -144,8 +144,8 @@ def test_of_a_large_population_the_first_agents_are_recorded_and_windows_of_all(
         assert {"error_sum/f1", "expected_error_sum/f3", "shadow/knn/error_sum/f2"} <= set(
             table.column_names
         )
-    for name, sums in whole.windows.sums.items():
-        np.testing.assert_allclose(few.windows.sums[name], sums, rtol=1e-12, err_msg=name)
+    for name, sums in whole.window_sums.sums.items():
+        np.testing.assert_allclose(few.window_sums.sums[name], sums, rtol=1e-12, err_msg=name)
 
 
 def test_windows_are_tallies_of_the_steps(tmp_path: Path) -> None:
@@ -153,15 +153,15 @@ def test_windows_are_tallies_of_the_steps(tmp_path: Path) -> None:
     folder = write_run(tmp_path, 3, 700, rows_per_part=3 * 70, log_every=90, shadows={"knn": 2.0})
     run = load_run(folder)
     zones = run.column("zone")
-    assert run.windows.counts.sum(axis=2).tolist() == [[250] * 3, [250] * 3, [200] * 3]
+    assert run.window_sums.counts.sum(axis=2).tolist() == [[250] * 3, [250] * 3, [200] * 3]
     for column in ("error", "progress", "shadow/knn/error"):
         values = run.column(column)
         for window, first in enumerate((0, 250, 500)):
             here = slice(first, first + 250)
             for zone in range(3):
                 expected = np.sum(values[here], axis=0, where=zones[here] == zone)
-                np.testing.assert_allclose(run.windows.sums[column][window, :, zone], expected)
-    assert np.isnan(run.windows.sums["expected_error"]).all()
+                np.testing.assert_allclose(run.window_sums.sums[column][window, :, zone], expected)
+    assert np.isnan(run.window_sums.sums["expected_error"]).all()
     table = pq.read_table(sorted((folder / "windows").iterdir()))
     counted = table.filter(pc.field("decisions/f1") > 0)
     assert counted["expected_error_sum/f1"].null_count == counted.num_rows
@@ -175,7 +175,7 @@ def test_windows_begin_with_the_first_decision_that_is_recorded(tmp_path: Path) 
         for _ in range(300):
             recorder.record(*population.decide())
     run = load_run(tmp_path)
-    assert run.windows.counts.sum(axis=2).tolist() == [[250, 250], [50, 50]]
+    assert run.window_sums.counts.sum(axis=2).tolist() == [[250, 250], [50, 50]]
     windows = pq.read_table(sorted((tmp_path / "windows").iterdir()))
     assert windows["step"].to_pylist() == [90, 90, 340, 340]
 
@@ -398,7 +398,7 @@ def test_whatever_is_recorded_comes_back_and_windows_add_up(
         assert run.column("zone").tolist() == zones_of[:, :n_recorded].tolist()
         sensors = np.array([step.sensors[:, 0].numpy() for step, _ in decisions])
         assert run.column("sensor/beam").tolist() == sensors[:, :n_recorded].tolist()
-        counts, sums = run.windows.counts, run.windows.sums["error"]
+        counts, sums = run.window_sums.counts, run.window_sums.sums["error"]
         assert counts.shape == (-(-n_decisions // window), n_agents, 3)
         for zone in range(3):
             here = zones_of == zone

@@ -225,7 +225,7 @@ def test_a_zone_that_the_world_does_not_name_is_refused(tmp_path: Path, zone: in
         live(tmp_path, lambda: Zoned(metadata={"zone_names": ("here", "there")}))
     run = load_run(tmp_path)
     assert run.n_decisions == 5
-    assert run.windows.counts.sum() == 5
+    assert run.window_sums.counts.sum() == 5
 
 
 # Spaces that cannot be lived in.

@@ -141,7 +141,7 @@ def _made(kind: Any, parts: Mapping[str, Any], kinds: Mapping[str, type], where:
         )
     if isinstance(kind, str) and ":" in kind:
         found = import_object(kind, where)
-    elif kind in kinds:
+    elif isinstance(kind, str) and kind in kinds:
         found = kinds[kind]
     else:
         raise ValueError(f"{where} must be of a known kind ({', '.join(kinds)}), got {kind!r:.80}")

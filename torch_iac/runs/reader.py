@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from torch_iac.internal.files import parse_json
+from torch_iac.internal.validation import check_count
 from torch_iac.runs.schema import (
     CONFIG,
     MAIN,
@@ -177,7 +178,60 @@ class Run:
         return _read_part(self.folder / REGIONS)
 
     @cached_property
-    def windows(self) -> Tally:
+    def windows(self) -> pa.Table:
+        """What every agent did, recorded or not, in each `WINDOW` decisions and zone.
+
+        A row for each window, agent and zone (one, called all, where the world has none): `step`,
+        the window's first; `agent`, `seed`, `zone`; `decisions`, how many there; the means of
+        `error`, `expected_error` and `progress` over them, NaN where there are none.
+        `run.windows.to_pandas()` is a frame.
+
+        Raises:
+            FileNotFoundError: There are no windows yet, or a part is missing.
+            ValueError: A part cannot be read.
+        """
+        sums = self.window_sums
+        zones = self.zone_names or ("all",)
+        shape = sums.counts.shape
+        steps, agents, places = (axis.ravel() for axis in np.indices(shape))
+        return pa.table(
+            {
+                "step": steps * WINDOW,
+                "agent": agents.astype(np.int32),
+                "seed": np.asarray(self.seeds)[agents],
+                "zone": np.asarray(zones)[places],
+                "decisions": sums.counts.ravel(),
+                **{name: sums.means(name).ravel() for name in sums.sums},
+            }
+        )
+
+    def region_progress(self, every: int = WINDOW) -> pa.Table:
+        """Return what the recorded agents did, region by region, in each `every` decisions.
+
+        A row for each window, agent, region and zone where there was a decision: `step`, the
+        window's first; `agent`, `region`, `zone` (as text, if the world has zones); `decisions`,
+        how many there; the means of `progress` and of `error` over them.
+
+        Raises:
+            ValueError: `every` is below 1, or a part cannot be read.
+        """
+        check_count("every", every)
+        keys = ["step", "agent", "region", *(["zone"] if self.zone_names else [])]
+        table = self.table([*keys, "progress", "error"])
+        first = pc.multiply(pc.divide(table["step"], every), every)
+        table = table.set_column(table.schema.get_field_index("step"), "step", first)
+        grouped = table.group_by(keys, use_threads=False).aggregate(
+            [([], "count_all"), ("progress", "mean"), ("error", "mean")]
+        )
+        grouped = grouped.rename_columns([*keys, "decisions", "progress", "error"])
+        grouped = grouped.sort_by([(key, "ascending") for key in keys])
+        if not self.zone_names:
+            return grouped
+        zones = pa.array(self.zone_names).take(grouped["zone"].combine_chunks())
+        return grouped.set_column(keys.index("zone"), "zone", zones)
+
+    @cached_property
+    def window_sums(self) -> Tally:
         """What every agent did, recorded or not, in each `WINDOW` decisions; shape `(W, A, Z)`.
 
         The last window has fewer decisions if the run does not end with it.

@@ -144,7 +144,7 @@ def tally(run: Run, column: str, window: int = WINDOW) -> Tally:
             shape = (n_windows, n_kept, *values.shape[1:])
             return np.asarray(values[: n_windows * n_kept].reshape(shape).sum(axis=1))
 
-        return Tally(joined(run.windows.counts), {column: joined(run.windows.sums[column])})
+        return Tally(joined(run.window_sums.counts), {column: joined(run.window_sums.sums[column])})
     if run.n_recorded < run.n_agents:
         raise ValueError(
             f"window must be a multiple of {WINDOW} where the steps of {run.n_recorded} of "

@@ -97,7 +97,7 @@ def _each_zone(
 def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
     """Return each agent's mean error of late, in all and in each zone, shape `(A, 1 + Z)`."""
     first = max(0, run.n_decisions - SETTLING) // WINDOW
-    late = run.windows[first:].total(0)
+    late = run.window_sums[first:].total(0)
     by_zone = late.means(column)[0, :, : len(run.zone_names)]
     return np.concatenate([late.total(2).means(column)[0], by_zone], axis=1)
 
@@ -189,7 +189,7 @@ def _shares(run: Run, first: int = 0) -> NDArray[np.float64]:
         run: The run.
         first: The first window that counts.
     """
-    counts = run.windows.counts[first:].sum(axis=0)
+    counts = run.window_sums.counts[first:].sum(axis=0)
     n_decisions = counts.sum(axis=1, keepdims=True)
     nothing = np.full(counts.shape, np.nan)
     return np.asarray(np.divide(counts, n_decisions, out=nothing, where=n_decisions > 0))
