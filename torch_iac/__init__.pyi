@@ -27,6 +27,7 @@ from .experiment import StoppedError as StoppedError
 from .experiment import load_agent as load_agent
 from .experiment import load_experiment as load_experiment
 from .experiment import resume as resume
+from .experts.hybrid import HybridExperts as HybridExperts
 from .experts.knn import KNNExperts as KNNExperts
 from .experts.network import MLPExperts as MLPExperts
 from .experts.network import NetworkExperts as NetworkExperts

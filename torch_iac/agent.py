@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_iac.config import IACConfig
 from torch_iac.drives.curriculum import Curriculum
 from torch_iac.drives.protocol import Candidates, Knowledge
+from torch_iac.experts.hybrid import HybridPool
 from torch_iac.experts.protocol import ExpertPool
 from torch_iac.internal.devices import available_device
 from torch_iac.internal.randomness import RandomStream
@@ -265,6 +266,9 @@ class IAC(Stateful):
             shadows=tuple(
                 self._shadow_step(name, pool, rows, decision, outcomes)
                 for name, pool in self.shadows.items()
+            ),
+            used_network=(
+                self.experts.uses_network(rows) if isinstance(self.experts, HybridPool) else None
             ),
         )
         counts, losses = self._learn(rows, decision, outcomes, errors)

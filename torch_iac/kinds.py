@@ -18,6 +18,7 @@ from torch_iac.drives.learning_progress import (
     Progress,
 )
 from torch_iac.drives.protocol import Drive
+from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
@@ -25,7 +26,11 @@ from torch_iac.experts.stacked_networks import MLP
 from torch_iac.internal.parts import import_object, make_importable
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
-EXPERTS: dict[str, type[Experts]] = {"knn": KNNExperts, "mlp": MLPExperts}
+EXPERTS: dict[str, type[Experts]] = {
+    "knn": KNNExperts,
+    "mlp": MLPExperts,
+    "hybrid": HybridExperts,
+}
 """What the kinds of experts are called."""
 DRIVES: dict[str, type[Drive]] = {
     "progress": Progress,
@@ -56,7 +61,8 @@ KINDS: dict[str, tuple[Mapping[str, type], type]] = {
 PARTS: dict[str, type] = {
     part.__name__: part
     for part in (
-        *(KNNExperts, MLPExperts, NetworkExperts, MLP, MetaPredictor, ImprovementPredictor),
+        *(KNNExperts, MLPExperts, NetworkExperts, HybridExperts, MLP),
+        *(MetaPredictor, ImprovementPredictor),
         *(Progress, AbsoluteProgress, GlobalProgress, MetaProgress),
         *(Error, Novelty, Improvement, Random, Curriculum, Stage),
         *(Greedy, Proportional, Softmax),

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from torch_iac.config import IACConfig
+from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.experts.network import MLPExperts, NetworkExperts, NetworkTraining
 from torch_iac.experts.protocol import Experts
 from torch_iac.experts.stacked_networks import MLP, Training
@@ -163,7 +164,9 @@ def memory_needed(
     if n_recorded:
         n_rows = n_decisions * n_recorded
         n_block = min(n_decisions, decisions_per_part(n_recorded)) * n_recorded
-    block = n_block * row_bytes(space, tuple(config.shadows))
+    block = n_block * row_bytes(
+        space, tuple(config.shadows), isinstance(config.experts, HybridExperts)
+    )
     leaves = capacity * _leaf_bytes(config, *dims)
     return Need(
         tables=n_agents * (leaves + _agent_bytes(config, dims[0])) + 4 * sum(drawn),
@@ -197,7 +200,7 @@ def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
     history = (config.delay + config.window + 1) * 8
     networks = sum(
         _network_bytes(_network(experts, situation_dim, outcome_dim))
-        for experts in (config.experts, *config.shadows.values())
+        for experts in _learners(config)
     )
     return examples + history + networks + NODE_BYTES
 
@@ -215,7 +218,7 @@ def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
 def _numbers_drawn(config: IACConfig, action_dim: int, n_agents: int) -> list[int]:
     """Return how many random numbers each stream draws at once, for all agents."""
     needed = [2 + config.n_candidates * action_dim]
-    for part in (config.experts, *config.shadows.values(), config.meta, config.improvement):
+    for part in (*_learners(config), config.meta, config.improvement):
         if isinstance(part, Training):
             needed.append(_n_minibatches(part) * part.minibatch_size)
     return [n_agents * n * block_size(n_agents, n) for n in needed]
@@ -226,7 +229,7 @@ def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]
     dim, n_examples = len(space.situation), config.max_examples + 1
     yield CUT_BYTES * dim * n_examples  # all agents' first cuts fall on the same decision
     yield config.n_candidates * (3 * dim * 4 + CANDIDATE_BYTES)
-    for experts in (config.experts, *config.shadows.values()):
+    for experts in _learners(config):
         network = _network(experts, dim, len(space.outcomes))
         if network is not None and isinstance(experts, NetworkTraining):
             yield _training_bytes(network, experts, dim)
@@ -236,6 +239,12 @@ def _working_bytes(config: IACConfig, space: SensorimotorSpace) -> Iterator[int]
             network = _mlp(training.hidden, n_inputs, 1)
             yield _training_bytes(network, training, dim + n_inputs)
             yield config.n_candidates * 4 * (n_inputs + 2 * network.n_units)
+
+
+def _learners(config: IACConfig) -> list[Experts]:
+    """Return all experts; of hybrid ones the network, beside which the rest is small."""
+    all_of_them = (config.experts, *config.shadows.values())
+    return [of.network if isinstance(of, HybridExperts) else of for of in all_of_them]
 
 
 def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network | None:

@@ -36,6 +36,7 @@ class Step:
         progress: Shape `(A,)`, float64, of that region when the action was chosen, in scaled units.
         random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
         shadows: What the other experts made of it, in the config's order.
+        used_network: Shape `(A,)`, bool, whether hybrid experts used the network; None of others.
     """
 
     number: int
@@ -49,6 +50,7 @@ class Step:
     progress: Tensor
     random_actions: Tensor
     shadows: tuple[ShadowStep, ...]
+    used_network: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ DECLARING = (
     "drives/curriculum",
     "drives/learning_progress",
     "drives/protocol",
+    "experts/hybrid",
     "experts/knn",
     "experts/network",
     "experts/stacked_networks",

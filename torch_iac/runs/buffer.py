@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_iac.records import Step
-from torch_iac.runs.schema import column_names, shadow_error, shadow_names
+from torch_iac.runs.schema import USED_NETWORK, column_names, shadow_error, shadow_names
 from torch_iac.space import SensorimotorSpace
 
 DECISIONS_PER_PART = 2000
@@ -29,6 +29,7 @@ DTYPES = {
     "expected_errors": torch.float32,
     "regions": torch.int32,
     "progress": torch.float64,
+    USED_NETWORK: torch.bool,
 }
 """The fields of a step that are one number an agent; the rest are vectors in raw units, float32."""
 
@@ -38,9 +39,9 @@ def decisions_per_part(n_recorded: int, rows_per_part: int = ROWS_PER_PART) -> i
     return max(1, min(DECISIONS_PER_PART, rows_per_part // n_recorded))
 
 
-def row_bytes(space: SensorimotorSpace, shadows: Sequence[str]) -> int:
+def row_bytes(space: SensorimotorSpace, shadows: Sequence[str], is_hybrid: bool = False) -> int:
     """Return how many bytes one decision of a recorded agent takes while it is kept in memory."""
-    names = column_names(space) | shadow_names(space, shadows)
+    names = column_names(space, is_hybrid) | shadow_names(space, shadows)
     dtypes = _dtypes(shadows)
     return sum(len(n) * dtypes.get(field, torch.float32).itemsize for field, n in names.items())
 
@@ -63,11 +64,12 @@ class Rows:
         seeds: Sequence[int],
         shadows: Sequence[str],
         has_zones: bool,
+        is_hybrid: bool = False,
     ) -> None:
         self.count, self.has_zones, self.last_decision = 0, has_zones, -1
         self._seeds = np.array(seeds, np.int64)
         self._decisions = np.empty(capacity, np.int64)
-        names = column_names(space)
+        names = column_names(space, is_hybrid)
         self._fields_of = attrgetter(*names)
         zone = {"zones": ["zone"]} if has_zones else {}
         self._names = zone | names | shadow_names(space, shadows)

@@ -149,6 +149,12 @@ class Run:
         return bool(self.config.get("iac", {}).get("inherit_history", True))
 
     @property
+    def is_hybrid(self) -> bool:
+        """Whether the experts are `HybridExperts`, which say which half they used."""
+        experts = self.config.get("iac", {}).get("experts", {})
+        return bool(experts.get("kind") == "HybridExperts")
+
+    @property
     def n_decisions(self) -> int:
         """How many decisions each agent has taken so far."""
         n_rows: int = sum(_open_part(path).metadata.num_rows for path in self.parts())
@@ -252,7 +258,7 @@ class Run:
             np.add.at(total, numbers, blocks)
             return total
 
-        fields = tallied_fields(self.shadow_names)
+        fields = tallied_fields(self.shadow_names, self.is_hybrid)
         counts, *sums = map(by_window, tally_columns(fields, self.zone_names))
         return Tally(counts, dict(zip(fields, sums, strict=True)))
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_iac.config import IACConfig
+from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.internal.files import dump_json, replace, write_table
 from torch_iac.internal.processor import processor
 from torch_iac.internal.validation import check_count
@@ -160,6 +161,7 @@ class Recorder:
             "n_recorded": n_recorded,
         }
         write_config(self.folder, {**(config or {}), **known})
+        is_hybrid = isinstance(agent.config.experts, HybridExperts)
         self._agent, self._log_every = agent, log_every
         self._seeds, self._zone_names = np.array(agent.seeds, np.int64), tuple(zone_names or ())
         self._rows = Rows(
@@ -168,8 +170,9 @@ class Recorder:
             agent.seeds[:n_recorded],
             shadows,
             zone_names is not None,
+            is_hybrid,
         )
-        self._tallied = tallied_fields(shadows)
+        self._tallied = tallied_fields(shadows, is_hybrid)
         self._tally = RunningTally(n_agents, len(self._zone_names), self._tallied)
         self._windows: dict[int, Tally] = {}  # not yet on disk, by their first decision
         self._first_decision = -1  # from which windows are counted
@@ -340,7 +343,8 @@ def _tallied_values(step: Step) -> list[Tensor]:
     """Return what windows sum up, in the order of `tallied_fields`."""
     expected = step.expected_errors
     unknown = torch.full_like(step.errors, torch.nan) if expected is None else expected
-    return [step.errors, unknown, step.progress, *(shadow.errors for shadow in step.shadows)]
+    values = [step.errors, unknown, step.progress, *(shadow.errors for shadow in step.shadows)]
+    return values if step.used_network is None else [*values, step.used_network.double()]
 
 
 def _claim(folder: Path, resume: bool) -> None:

@@ -20,6 +20,9 @@ MAIN = "main"
 RESERVED = (MAIN, "mean", "expected")
 """What no shadow can be called: errors of these names are others'."""
 
+USED_NETWORK = "used_network"
+"""What the column is called that says whether hybrid experts used the network."""
+
 CONFIG = "config.json"
 STEPS = "steps"
 WINDOWS = "windows"
@@ -57,8 +60,13 @@ def region_table(genealogy: Genealogy, space: SensorimotorSpace) -> pa.Table:
     )
 
 
-def column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
-    """Return the columns that each field of a step fills, in the order of the file."""
+def column_names(space: SensorimotorSpace, is_hybrid: bool = False) -> dict[str, list[str]]:
+    """Return the columns that each field of a step fills, in the order of the file.
+
+    Args:
+        space: What the robots do, sense and predict.
+        is_hybrid: Whether the experts are hybrid.
+    """
 
     def each(kind: str, dimensions: Sequence[Dimension]) -> list[str]:
         return [f"{kind}/{dimension.name}" for dimension in dimensions]
@@ -73,6 +81,7 @@ def column_names(space: SensorimotorSpace) -> dict[str, list[str]]:
         "expected_errors": ["expected_error"],
         "regions": ["region"],
         "progress": ["progress"],
+        **({USED_NETWORK: [USED_NETWORK]} if is_hybrid else {}),
     }
 
 
@@ -96,9 +105,10 @@ def shadow_error(name: str) -> str:
     return f"shadow/{name}/error"
 
 
-def tallied_fields(shadows: Sequence[str]) -> list[str]:
-    """Return the columns of the steps that windows sum up, those of the shadows last."""
-    return ["error", "expected_error", "progress", *map(shadow_error, shadows)]
+def tallied_fields(shadows: Sequence[str], is_hybrid: bool = False) -> list[str]:
+    """Return the columns of the steps that windows sum up."""
+    fields = ["error", "expected_error", "progress", *map(shadow_error, shadows)]
+    return [*fields, USED_NETWORK] if is_hybrid else fields
 
 
 def tally_columns(columns: Sequence[str], zone_names: Sequence[str]) -> list[list[str]]:

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from torch_iac.runs.reader import Run
-from torch_iac.runs.schema import WINDOW
+from torch_iac.runs.schema import USED_NETWORK, WINDOW
 from torch_iac.runs.statistics import Expectation, calibration, focus_steps, known_mean
 from torch_iac.toy_room import FOCUS_SHARES
 
@@ -51,6 +51,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
         "errors": {
             name: _describe_errors(run, known_mean(e, axis=0)) for name, e in errors.items()
         },
+        **_network_share(run),
         "calibration": _calibration(run),
         "first_cuts": _count_first_cuts(cuts),
         "focus": {zone: _count_focus(steps) for zone, steps in focus.items()},
@@ -100,6 +101,14 @@ def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
     late = run.window_sums[first:].total(0)
     by_zone = late.means(column)[0, :, : len(run.zone_names)]
     return np.concatenate([late.total(2).means(column)[0], by_zone], axis=1)
+
+
+def _network_share(run: Run) -> dict[str, Any]:
+    """Return in which share of their late decisions hybrid experts used the network."""
+    if not run.is_hybrid:
+        return {}
+    shares = _late_errors(run, USED_NETWORK)
+    return {"network_share": _describe_errors(run, known_mean(shares, axis=0))}
 
 
 def _describe_errors(run: Run, errors: NDArray[np.float64]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from torch.utils.tensorboard import FileWriter
 from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.records import Genealogy, RegionSummary
-from torch_iac.runs.schema import EVENTS, shadow_error
+from torch_iac.runs.schema import EVENTS, USED_NETWORK, shadow_error
 from torch_iac.runs.tensorboard_images import CalibrationChart, ProgressMap, histogram_of
 from torch_iac.runs.window_sums import Tally
 
@@ -30,6 +30,7 @@ TALLY_TAGS = {
     "progress": "progress/mean",
     "error": "error/mean",
     "expected_error": "error/expected",
+    USED_NETWORK: "development/network_share",
 }
 """The columns of the steps whose means are logged, and where."""
 
@@ -45,6 +46,8 @@ DESCRIPTIONS = {
     "row is a present region, neighbours in the tree side by side; before its birth it shows its "
     "ancestors. Red: errors fall, blue: errors grow.",
     "development/n_regions": "How many regions an agent's cube is in, mean over the first agents.",
+    "development/network_share": "Share of the last decisions in whose region hybrid experts used "
+    "the network, over all agents.",
     "progress/mean": "Mean learning progress of the regions that predicted the last decisions, "
     "over all agents.",
     "progress/best": "Learning progress of the best region, mean over the first agents.",
@@ -196,7 +199,7 @@ def _means(tally: Tally, tags: Mapping[str, str], zone_names: Sequence[str]) -> 
     """Return the means over agents, as far as there are any, and the share of each zone."""
     zones = tally.total(0)
     whole = zones.total(1)
-    means = {tag: whole.means(column).item() for column, tag in tags.items()}
+    means = {tag: whole.means(of).item() for of, tag in tags.items() if of in tally.sums}
     shares = (zones.counts / whole.counts)[0].tolist()
     by_zone = zip(zone_names, shares, strict=False)
     means |= {f"development/time_in_{name}": share for name, share in by_zone}
