@@ -157,6 +157,9 @@ class Train:
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
+    test_every: int = 0
+    """How many decisions lie between two generalisation tests in f2, in the toy rooms; 0 for none.
+    Their errors go into generalisation.parquet."""
     iac: Annotated[Settings, Plain] = field(default_factory=Settings)
     """The numbers of the algorithm."""
 
