@@ -20,14 +20,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from torch_iac import Experiment, IACConfig, Progress, Random
+from torch_iac import Drive, Experiment, IACConfig, Progress, Random
 from torch_iac.analysis.bootstrap import band
 from torch_iac.analysis.style import STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
 WORLDS = ("Pendulum-v1", "MountainCarContinuous-v0", "Swimmer-v5")
-DRIVES = {"progress": Progress(), "random": Random()}
+DRIVES: dict[str, Drive] = {"progress": Progress(), "random": Random()}
 SWIMMER, HOLDS = WORLDS[-1], (1, 10)
 STOP = 1.7
 """Radians: a joint of the swimmer that is bent so far is at its stop, which is at 1.745."""
