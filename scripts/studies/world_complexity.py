@@ -1,6 +1,6 @@
 """How hard are the toy room's three zones? What can be learnt in each, and from how much.
 
-    python scripts/studies/world_complexity.py
+    python -m scripts.studies.world_complexity
 
 takes random decisions and lets offline regressors predict the next toy distance from the
 action and the sensors before it, both scaled to [0, 1], zone by zone; a quarter of the decisions is

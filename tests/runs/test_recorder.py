@@ -130,7 +130,7 @@ def test_of_a_large_population_the_first_agents_are_recorded_and_windows_of_all(
         write_run(tmp_path / "few", 4, 600, shadows={"knn": 2.0}, meta=True, n_recorded=2)
     )
     assert (few.n_recorded, few.n_agents, few.n_decisions) == (2, 4, 600)
-    assert few.config["recorded_agents"] == 2
+    assert few.config["n_recorded"] == 2
     assert few.steps == whole.steps.filter(pc.field("agent") < 2)
     assert few.regions == whole.regions
     windows = [pq.read_table(sorted((run.folder / "windows").iterdir())) for run in (whole, few)]
@@ -323,7 +323,7 @@ def test_the_config_says_what_is_needed_to_read_the_run(tmp_path: Path) -> None:
         "seeds": [100, 101],
         "zones": ["f1", "f2", "f3"],
         "shadows": [],
-        "recorded_agents": 2,
+        "n_recorded": 2,
     }
 
 

@@ -110,7 +110,7 @@ class Run:
     @property
     def n_recorded(self) -> int:
         """Of how many agents, the first, the steps are recorded."""
-        return int(self.config.get("recorded_agents", self.n_agents))
+        return int(self.config.get("n_recorded", self.n_agents))
 
     @property
     def zone_names(self) -> tuple[str, ...]:

@@ -154,7 +154,7 @@ class Recorder:
             "seeds": agent.seeds,
             "zones": zone_names,
             "shadows": shadows,
-            "recorded_agents": n_recorded,
+            "n_recorded": n_recorded,
         }
         write_config(self.folder, {**(config or {}), **known})
         self._agent, self._log_every = agent, log_every
