@@ -82,6 +82,8 @@ def known(values: Any) -> NDArray[np.float64]:
 def interval(values: NDArray[np.float64], less: NDArray[np.float64] | None = None) -> str:
     """Return a mean, or the difference of two, and its interval."""
     samples = (values,) if less is None else (values, less)
+    if not all(map(len, samples)):
+        return "none did"
     mean = values.mean() - (0.0 if less is None else less.mean())
     if all(np.ptp(sample) == 0 for sample in samples):
         return f"{mean:.4g}, in all"
