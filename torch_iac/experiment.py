@@ -12,6 +12,7 @@ from typing import Any, Self
 import torch
 
 from torch_iac.agent import IAC
+from torch_iac.analysis.generalisation import record_tests, sets_aside
 from torch_iac.config import IACConfig
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts
@@ -112,6 +113,9 @@ class Experiment:
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
+    test_every: int = 0
+    """How many decisions lie between two generalisation tests in f2, in the toy rooms; 0 for none.
+    Their errors go into generalisation.parquet."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "log_every", "checkpoint_every", "recorded_agents"):
@@ -119,7 +123,12 @@ class Experiment:
         for name, most in (("hold", MOST_HOLD), ("bounds_from", MOST_BOUNDS_FROM)):
             if not 1 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} must lie in [1, {most:,}], got {getattr(self, name)}")
-        check_count("recorded_rows", self.recorded_rows, least=0)
+        for name in ("recorded_rows", "test_every"):
+            check_count(name, getattr(self, name), least=0)
+        if self.test_every and self.world not in WORLDS:
+            raise ValueError(
+                f"test_every must be 0 outside of the toy rooms, got {self.test_every}"
+            )
         for name in ("seeds", "outcomes"):
             if isinstance(getattr(self, name), (int, str)):
                 raise ValueError(f"{name} must be a list, got {getattr(self, name)!r}")
@@ -349,11 +358,17 @@ class Experiment:
         """Train; what ends it early comes with how to go on."""
         folder = recorder.folder
         saved = Checkpoints(folder / CHECKPOINTS, identity(agent, world=self.world_identity()))
-        every = self.checkpoint_every
         try:
             with recorder:
                 if not train(
-                    agent, world, self.steps, recorder, saved, checkpoint_every=every, stop=stop
+                    agent,
+                    world,
+                    self.steps,
+                    recorder,
+                    saved,
+                    checkpoint_every=self.checkpoint_every,
+                    stop=stop,
+                    after=self.tests(folder),
                 ):
                     raise StoppedError(folder, agent.n_decisions)
         except KeyboardInterrupt:
@@ -361,6 +376,20 @@ class Experiment:
         except OSError as error:
             error.add_note(how_to_go_on(folder))
             raise
+
+    def tests(self, folder: Path) -> Callable[[IAC], None]:
+        """Return what tests the robots after a decision, if a test is due, and keeps what it finds.
+
+        Args:
+            folder: The run folder.
+        """
+        sets = sets_aside(self.world, self.world_options) if self.test_every else {}
+
+        def test(agent: IAC) -> None:
+            if self.test_every and agent.n_decisions % self.test_every == 0:
+                record_tests(agent, sets, folder)
+
+        return test
 
     def _n_recorded(self) -> int:
         """Return of how many agents every decision is recorded; log it if not of all."""

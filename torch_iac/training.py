@@ -37,6 +37,7 @@ def train(
     *,
     checkpoint_every: int = CHECKPOINT_EVERY,
     stop: Callable[[], bool] = lambda: False,
+    after: Callable[[IAC], object] = lambda _: None,
 ) -> bool:
     """Run the act, step, observe loop, one world an agent.
 
@@ -53,6 +54,9 @@ def train(
         checkpoint_every: How many decisions lie between two checkpoints, or more where they would
             take over a twentieth of the time.
         stop: Asked after each decision whether to save and stop.
+        after: Called with the agent after each decision, before it is saved: for tests during the
+            run. A run that goes on from a checkpoint calls it again for the decisions that it takes
+            again.
 
     Returns:
         Whether all decisions were taken.
@@ -84,6 +88,7 @@ def train(
         step = agent.observe(outcome_of(env, sensors, terminated | truncated, info))
         if recorder is not None:
             recorder.record(step, info.get("zone"))
+        after(agent)
         is_over = stop()
         is_due = agent.n_decisions % checkpoint_every == 0 and saver and saver.is_affordable
         if saver and (is_over or is_due or agent.n_decisions == n_decisions):

@@ -3,7 +3,7 @@
     python -m scripts.benchmarks.benchmark
 
 One robot of each kind of expert develops in the toy room on one thread; the oracle,
-`tests/oracle.py`, then lives through the decisions of the first, with the same examples. Then
+`tests/oracle.py`, then takes the decisions of the first, with the same examples. Then
 populations decide in the kinematic room, on all threads or on `--device`, and are held against the
 least time that they could take on this machine: nearest neighbours the time to read the examples of
 one region for each agent, networks the time that their multiplications take in a large matrix
@@ -56,10 +56,10 @@ class Waves(nn.Module):
 
 
 ROBOTS = {
-    "nearest neighbour": iac.IACConfig(),
-    "nearest neighbour, with MP": iac.IACConfig(meta=iac.MetaPredictor()),
-    "MLP": iac.IACConfig(experts=iac.MLPExperts()),
-    "any module": iac.IACConfig(experts=iac.NetworkExperts(module=Waves)),
+    "nearest neighbour": iac.IACConfig(meta=None),
+    "nearest neighbour, with MP": iac.IACConfig(),
+    "MLP": iac.IACConfig(experts=iac.MLPExperts(), meta=None),
+    "any module": iac.IACConfig(experts=iac.NetworkExperts(module=Waves), meta=None),
 }
 
 EXPERTS: dict[str, iac.Experts] = {"knn": iac.KNNExperts(), "mlp": iac.MLPExperts()}
@@ -184,17 +184,17 @@ def follow(
 
 
 def measure_population(kind: str, n_agents: int, benchmark: Benchmark) -> None:
-    """Let a population live in the kinematic room and print how many decisions it takes."""
+    """Let a population decide in the kinematic room and print how many decisions it takes."""
     device = torch.device(benchmark.device)
     env = gym.make_vec(KINEMATIC, n_agents, device=device, check_actions=False)
     space = iac.SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    config = iac.IACConfig(experts=EXPERTS[kind])
+    config = iac.IACConfig(experts=EXPERTS[kind], meta=None)
     agent = iac.IAC(space, config, range(n_agents), device)
     half = benchmark.population_steps // 2
     sensors, _ = env.reset(seed=0)
-    seen = live(agent, env, sensors, half)
-    with_world, seen = timed(device, lambda: live(agent, env, seen[-1], half))
-    alone, _ = timed(device, lambda: live_again(agent, seen))
+    seen = decide(agent, env, sensors, half)
+    with_world, seen = timed(device, lambda: decide(agent, env, seen[-1], half))
+    alone, _ = timed(device, lambda: decide_again(agent, seen))
     floor = knn_floor(space, n_agents, device) if kind == "knn" else mlp_floor(n_agents, device)
     print(
         f"| {kind} | {n_agents:,} | {half * n_agents / alone:,.0f} "
@@ -206,10 +206,10 @@ def measure_population(kind: str, n_agents: int, benchmark: Benchmark) -> None:
         )
 
 
-def live(
+def decide(
     agent: iac.IAC, env: gym.vector.VectorEnv[Any, Any, Any], sensors: Tensor, n_decisions: int
 ) -> list[Tensor]:
-    """Let a population live in its world and return what it sensed, from the first to the last."""
+    """Let a population decide in its world and return what it sensed, first to last."""
     seen = [sensors]
     for _ in range(n_decisions):
         sensors, *_ = env.step(agent.act(sensors))
@@ -218,7 +218,7 @@ def live(
     return seen
 
 
-def live_again(agent: iac.IAC, seen: Sequence[Tensor]) -> None:
+def decide_again(agent: iac.IAC, seen: Sequence[Tensor]) -> None:
     """Let a population decide on what was sensed before, whatever it does."""
     for before, after in pairwise(seen):
         agent.act(before)

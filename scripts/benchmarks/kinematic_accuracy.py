@@ -1,12 +1,12 @@
 """How close is the toy room of batched arithmetic to pybullet's, and how fast is it?
 
-    python scripts/benchmarks/kinematic_accuracy.py
+    python -m scripts.benchmarks.kinematic_accuracy
 
-lets a robot live through random decisions in pybullet, lets the kinematic robot take each of them
+lets a robot take random decisions in pybullet, lets the kinematic robot take each of them
 from the same pose, without noise, and prints how far apart they end, away from the walls (where
 neither at the start nor at the end a wall is within a centimetre of the chassis) and near them;
 then how far apart the places are where kicked toys land; then how many decisions a second the
-worlds live through together with default noise and sensors.
+worlds take together with default noise and sensors.
 """
 
 import math
@@ -71,7 +71,7 @@ class Comparison:
 def compare(n_decisions: int, seed: int) -> Comparison:
     """Return how far the kinematic robot ends from pybullet's in random decisions."""
     wheels = np.random.default_rng(seed).uniform(-1, 1, (n_decisions, 2))
-    starts, ends = _physical_life(wheels)
+    starts, ends = _physical_poses(wheels)
     start, speeds = torch.tensor(starts.T).float(), torch.tensor(wheels.T).float()
     position, heading = drive(ROOM, start[:2], start[2], speeds)
     apart = np.linalg.norm(position.numpy().T - ends[:, :2], axis=1)
@@ -104,7 +104,7 @@ def landings(n_decisions: int, seed: int) -> tuple[Array, Array]:
     return place.numpy(), _physical_landings(starts, kicks)
 
 
-def _physical_life(wheels: Array) -> tuple[Array, Array]:
+def _physical_poses(wheels: Array) -> tuple[Array, Array]:
     """Return x, y and heading before and after each decision, each of shape `(decisions, 3)`."""
     physics, poses = Physics(ROOM, 0, substeps=8), np.zeros((len(wheels) + 1, 3))
     for row, (left, right) in enumerate(wheels):
@@ -134,7 +134,7 @@ def _clearance(poses: Array) -> Array:
 
 
 def decisions_per_second(n_worlds: int, repeats: int, device: str) -> float:
-    """Return how many decisions `n_worlds` worlds live through together in a second."""
+    """Return how many decisions `n_worlds` worlds take together in a second."""
     env = ToyRoomKinematic(n_worlds, device=device)
     env.reset(seed=0)
     low, high = (torch.tensor(bound, device=device) for bound in ((-1.0, -1.0, 0.0), (1.0,) * 3))

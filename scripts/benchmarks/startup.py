@@ -31,11 +31,13 @@ STARTS = {
 """What is started: words of the command, or code."""
 
 COMMAND = """
-import sys
-try:
-    from torch_iac.cli.main import main
-except ImportError:  # older than that module
-    from torch_iac.cli.train import main
+import importlib, sys
+for name in ("torch_iac.main", "torch_iac.cli.main", "torch_iac.cli"):  # at one time or another
+    try:
+        main = importlib.import_module(name).main
+        break
+    except ImportError:
+        pass
 main(sys.argv[1:])
 """
 

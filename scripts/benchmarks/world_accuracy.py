@@ -1,10 +1,10 @@
 """How accurate and how fast is the toy room? Its robot against itself with a finer time step.
 
-    python scripts/benchmarks/world_accuracy.py
+    python -m scripts.benchmarks.world_accuracy
 
 lets the robot take random decisions from the same poses twice, the second time with a quarter of
 the time step, without noise, and prints how far apart it ends; then how many decisions a second
-the world lives through with its default noise and sensors, on one core.
+the world takes with its default noise and sensors, on one core.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Draw the toy room and what its robot senses: figure 1 of the paper.
 
-    python scripts/docs/draw_room.py
+    python -m scripts.docs.draw_room
 
 writes `docs/images/room.png`.
 """

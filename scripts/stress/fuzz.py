@@ -3,7 +3,7 @@
     python -m scripts.stress.fuzz
     python -m scripts.stress.fuzz --only 123
 
-Random command lines for `torch-iac train`: 10,000 are only parsed, 500 are lived through in a
+Random command lines for `torch-iac train`: 10,000 are only parsed, 500 are carried out in a
 temporary folder. Options and their kinds are what `--help` says, so new ones are tried by
 themselves. A command fails if it raises, hangs, ends with another exit code than 0 or 2, is refused
 in more than one line, or works and writes to stderr. Every failing command is printed with its
@@ -33,10 +33,12 @@ import tyro
 
 from torch_iac.cli import dispatch
 from torch_iac.cli.main import main as torch_iac
+from torch_iac.config import PRESETS
+from torch_iac.kinds import KINDS
 from torch_iac.toy_room import WORLDS as NAMED_WORLDS
 
-PARTS = ("preset", "experts", "drive", "choice")
-"""Options on which others depend."""
+PARTS = {"preset": list(PRESETS), **{kind: list(names) for kind, (names, _) in KINDS.items()}}
+"""Options on which others depend, each with its good values."""
 
 WORLDS = list(NAMED_WORLDS)
 """The worlds of this project."""
@@ -60,6 +62,16 @@ WRONG = ["", " ", "ten", "nan", "-inf", "1e3", "2.5", "0x10", "None", "true", "[
 STRANGE = ["ü", "模型", "🤖", "\udcff", "a\nb", "a\tb", "%s%n", "'", '"', "x" * 300, "\x1b[31mred"]
 UNKNOWN = ["--hunger", "--step", "--k.k", "--iac.epsilon", "-x", "epsilon", "--no-steps", "--="]
 PLACES = ["a", "a/b/c", "ü", "", ".", "file", "file/a", "/dev/null", "/proc/nowhere", "x" * 300]
+OWN = [
+    "torch.nn:Linear",
+    "torch:nn",
+    "torch:",
+    ":Net",
+    "nowhere:Net",
+    "torch_iac:MLPExperts",
+    "os:sep",
+]
+"""Parts of a user's own, most of which are none."""
 JSON = ["0", "1", "4", "-1", "0.02", "1e999", "NaN", "true", "null", '"a"', "[1]", "{}", "[" * 9999]
 
 
@@ -147,7 +159,7 @@ def command(seed: int, number: int, is_lived: bool) -> list[str]:
 
 def answer_to(words: Sequence[str], is_lived: bool, seconds: int) -> Answer:
     """Return what comes of a command, lived through in a folder of its own or only parsed."""
-    unlived = mock.patch.object(dispatch, "begin")
+    unlived = mock.patch.object(dispatch, "train")
     with contextlib.nullcontext() if is_lived else unlived, _own_folder(), _limit(seconds):
         try:
             code, out, err = _typed(words)
@@ -193,7 +205,7 @@ def _parts(rng: random.Random) -> Iterator[str]:
     """Yield good choices of the options on which others depend."""
     for name in PARTS:
         if rng.random() < 0.5:
-            yield from (f"--{name}", rng.choice(_choices(options(())[name])))
+            yield from (f"--{name}", rng.choice(PARTS[name]))
 
 
 def _word(rng: random.Random, known: dict[str, str], share: float) -> Iterator[str]:
@@ -210,7 +222,8 @@ def _word(rng: random.Random, known: dict[str, str], share: float) -> Iterator[s
             yield "True"
         return
     makers: dict[str, Callable[[], str]] = {
-        "out": lambda: rng.choice(PLACES),
+        **dict.fromkeys(("out", "config"), lambda: rng.choice(PLACES)),
+        **dict.fromkeys(KINDS, lambda: rng.choice([*PARTS[name], *OWN, *WRONG])),
         "world": lambda: rng.choice([*WORLDS * 4, *OTHER_WORLDS, *STRANGE, *WRONG]),
         "world-options": lambda: _world_option(rng, rng.choice(WORLDS)),
     }

@@ -85,7 +85,7 @@ def looks(process: subprocess.Popen[bytes], soak: Soak) -> Iterator[Look]:
         n_decisions = on_disk(soak.out)
         if n_decisions < due:
             continue
-        due += soak.every
+        due = (n_decisions // soak.every + 1) * soak.every
         yield Look(n_decisions, *consumed(process.pid))
 
 

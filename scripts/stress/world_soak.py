@@ -1,8 +1,8 @@
 """Does the toy room hold for long? Its physical state, its speed and its memory, watched.
 
-    python scripts/stress/world_soak.py
+    python -m scripts.stress.world_soak
 
-lives through random decisions and stops at the first one after which the robot has fallen over,
+takes random decisions and stops at the first one after which the robot has fallen over,
 robot or toy is not in the room, or a number is none; else prints the extremes that were seen.
 """
 
@@ -28,7 +28,7 @@ class Study:
     """What is watched."""
 
     decisions: int = 100_000
-    """How many random decisions are lived through."""
+    """How many random decisions are taken."""
     seed: int = 0
     """Seeds the world and the decisions."""
     report_every: int = 10_000
@@ -80,7 +80,7 @@ class Extremes:
 
 
 def main(study: Study) -> None:
-    """Live and report."""
+    """Take random decisions and report."""
     env = gym.make("torch_iac_envs/ToyRoom-v0", disable_env_checker=True)
     world = env.unwrapped
     assert isinstance(world, ToyRoom)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import binomtest
 
-from scripts.studies.study import recorded
 from torch_iac.analysis.bootstrap import Estimate, difference, mean
 from torch_iac.analysis.generalisation import F2, Transitions, plateau, tests_of
 from torch_iac.analysis.region_history import leaf_purity
@@ -238,7 +237,7 @@ def catching_up(runs: Sequence[Run], others: Sequence[Run], which: str) -> Value
 def gaps(runs: Sequence[Run], asked: Transitions) -> Values:
     """Return how far transitions set aside in f2 are from what each robot did there, shape `(A,)`.
 
-    The mean distance to the nearest decision in f2 of the robot's whole life, in the dimensions of
+    The mean distance to the nearest decision in f2 of the robot's whole run, in the dimensions of
     `MATTERS`, each scaled to [0, 1]: how well the robot has covered f2.
     """
     return each(runs, lambda run: nearest(run, asked)[0].mean(axis=1))
@@ -253,14 +252,14 @@ def nearest(run: Run, asked: Transitions) -> tuple[Values, Values]:
     """
     situation, outcome = run.space.situation, run.space.outcomes
     points = _scaled(np.concatenate([asked.actions, asked.sensors], axis=1), situation)
-    lived = _scaled(recorded(run, run.situation_columns), situation)
+    met = _scaled(run.columns(run.situation_columns), situation)
     truth = _scaled(asked.outcomes, outcome)
-    outcomes = _scaled(recorded(run, (f"outcome/{d.name}" for d in outcome)), outcome)
+    outcomes = _scaled(run.columns(f"outcome/{d.name}" for d in outcome), outcome)
     columns = [i for i, d in enumerate(situation) if d.name in MATTERS]
     in_f2 = run.column("zone") == F2
     distances, errors = [], []
     for agent, mine in enumerate(in_f2.T):
-        found = cKDTree(lived[mine, agent][:, columns]).query(points[:, columns])
+        found = cKDTree(met[mine, agent][:, columns]).query(points[:, columns])
         distances.append(found[0])
         errors.append(np.abs(outcomes[mine, agent][found[1]] - truth).mean(axis=1))
     return np.array(distances), np.array(errors)

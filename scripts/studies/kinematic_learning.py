@@ -2,10 +2,10 @@
 
     python -m scripts.studies.kinematic_learning
 
-As many robots live in each; prints, for each measure of their development, its mean in both rooms
+As many robots are in each; prints, for each measure of their development, its mean in both rooms
 and the difference of the means, with bootstrap intervals of 95 %. Where the interval of the
-difference holds 0, the rooms cannot be told apart by so many robots. Runs that are in their folders
-already are not run again; those in pybullet's room are the ones of `scripts.studies.development`.
+difference holds 0, the rooms cannot be told apart by so many robots. Runs that are in the folder
+already are not run again.
 """
 
 from collections.abc import Callable
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 import torch_iac as iac
-from scripts.studies.development import robots_of
-from scripts.studies.study import Life, live
-from torch_iac.runs.reader import Run, load_run
+from torch_iac.compare.engine import run_variants
 
-WORLD = "torch_iac_envs/ToyRoomKinematic-v0"
+ROOMS = {"pybullet": "toyroom", "kinematic": "kinematic"}
+"""The rooms, and what an experiment calls them."""
+
+BLOCK = 10
+"""How many robots are one run."""
 
 Robot = dict[str, Any]
 
@@ -47,31 +49,29 @@ class Study:
     """The first of the seeds."""
     steps: int = 10_000
     """How many decisions each takes."""
-    pybullet: Path = Path("runs/development")
-    """Where the runs in pybullet's room are, or go."""
-    kinematic: Path = Path("runs/kinematic")
-    """Where the run in the kinematic room is, or goes."""
+    out: Path = Path("runs/rooms")
+    """Where the run folders go."""
     processes: int = 2
-    """How many robots develop at once in pybullet's room."""
+    """How many runs go on at once."""
 
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the table."""
-    seeds = range(study.first_seed, study.first_seed + study.seeds)
-    runs = robots_of(study.pybullet, seeds, study.steps, study.processes)
-    physical = [run.summary["agents"][0] for run in runs]
-    kinematic = population(study, seeds).summary["agents"]
-    print(f"| {study.seeds} robots each | pybullet | kinematic | difference |\n|---|---|---|---|")
+    runs = run_variants(
+        study.out,
+        {room: iac.Experiment(world=world, steps=study.steps) for room, world in ROOMS.items()},
+        n_seeds=study.seeds,
+        seed=study.first_seed,
+        block=BLOCK,
+        processes=study.processes,
+    )
+    robots = {
+        room: [robot for run in of for robot in run.summary["agents"]] for room, of in runs.items()
+    }
+    print(f"| {study.seeds} robots each | {' | '.join(ROOMS)} | difference |\n|---|---|---|---|")
     for name, measure in MEASURES.items():
-        one, other = (known(map(measure, robots)) for robots in (physical, kinematic))
+        one, other = (known(map(measure, robots[room])) for room in ROOMS)
         print(f"| {name} | {interval(one)} | {interval(other)} | {interval(other, one)} |")
-
-
-def population(study: Study, seeds: range) -> Run:
-    """Let the robots develop in the kinematic room, unless they did already."""
-    config = iac.IACConfig(meta=iac.MetaPredictor())
-    live(Life(study.kinematic, config, seeds, study.steps, WORLD))
-    return load_run(study.kinematic)
 
 
 def known(values: Any) -> NDArray[np.float64]:
@@ -82,6 +82,8 @@ def known(values: Any) -> NDArray[np.float64]:
 def interval(values: NDArray[np.float64], less: NDArray[np.float64] | None = None) -> str:
     """Return a mean, or the difference of two, and its interval."""
     samples = (values,) if less is None else (values, less)
+    if not all(map(len, samples)):
+        return "none did"
     mean = values.mean() - (0.0 if less is None else less.mean())
     if all(np.ptp(sample) == 0 for sample in samples):
         return f"{mean:.4g}, in all"

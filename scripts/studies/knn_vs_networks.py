@@ -8,12 +8,14 @@ Runs that are in the folder already, those of `scripts.studies.reproduce_paper` 
 run again.
 """
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import torch
 import tyro
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -22,24 +24,23 @@ from scripts.studies.claims import F1, catching_up, each, focus, last_error, tim
 from scripts.studies.reproduce_paper import (
     SETS,
     VARIANTS,
-    Variant,
     draw_curves,
-    life_of,
+    robots,
+    runs_in,
     when_reached,
 )
-from scripts.studies.study import COSTS, live_all
-from torch_iac import IACConfig, MLPExperts
+from torch_iac import MLPExperts, load_agent
 from torch_iac.analysis.bootstrap import difference, mean
 from torch_iac.analysis.generalisation import F2
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save
-from torch_iac.internal.files import parse_json
+from torch_iac.experiment import experiment_of
 from torch_iac.runs.reader import Run
 from torch_iac.runs.summary import SETTLING, count_regions
 
 KINDS = {
     "knn": VARIANTS["knn"],
     "mlp": VARIANTS["mlp"],
-    "wide": Variant(IACConfig(experts=MLPExperts(hidden=(64, 64)))),
+    "wide": robots(experts=MLPExperts(hidden=(64, 64))),
 }
 LABELS = {
     "knn": "nearest neighbours",
@@ -47,6 +48,9 @@ LABELS = {
     "wide": "networks, 64 and 64",
 }
 REFERENCE = "knn"
+
+N_TIMED = 100
+"""How many more decisions are timed at the end of a run."""
 
 Values = NDArray[np.float64]
 
@@ -83,12 +87,8 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print and draw."""
-    seeds = range(study.seeds)
-    lives = [
-        life_of(study.out, "kinematic", name, kind, seeds, study.steps)
-        for name, kind in KINDS.items()
-    ]
-    runs = {name: [run] for name, run in zip(KINDS, live_all(lives, study.processes), strict=True)}
+    torch.set_num_threads(1)
+    runs = runs_in("kinematic", KINDS, study.seeds, study)
     print_differences(runs)
     print_costs(runs)
     save(draw(runs), study.out / "knn_vs_networks.png")
@@ -127,12 +127,28 @@ def _cell(values: Values, less: Values | None, unit: str) -> str:
 def print_costs(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print what a robot costs."""
     print("\n| | ms a decision of a robot | memory of a robot (kB) |\n|---|---|---|")
-    for name, (run,) in runs.items():
-        costs = parse_json((run.folder / COSTS).read_bytes())
-        each_ms = 1000 * costs["agent_seconds"] / (run.n_agents * run.n_decisions)
-        print(
-            f"| {LABELS[name]} | {each_ms:.3f} | {costs['state_bytes'] / run.n_agents / 1e3:,.0f} |"
-        )
+    for name, (run, *_) in runs.items():
+        seconds, n_bytes = costs(run)
+        print(f"| {LABELS[name]} | {1000 * seconds:.3f} | {n_bytes / 1e3:,.0f} |")
+
+
+def costs(run: Run) -> tuple[float, float]:
+    """Return what a robot takes at the end of a run: seconds of the processor a decision, bytes."""
+    agent = load_agent(run.folder)
+    n_bytes = sum(tensor.nbytes for tensor in agent.state().values())
+    world, _ = experiment_of(run).bounded_world()
+    sensors, _ = world.reset(seed=list(run.seeds))  # type: ignore[arg-type]  # a list is fine
+    seconds = 0.0
+    for _ in range(N_TIMED):
+        started = time.process_time()
+        actions = agent.act(sensors)
+        seconds += time.process_time() - started
+        sensors, *_ = world.step(actions)
+        started = time.process_time()
+        agent.observe(sensors)
+        seconds += time.process_time() - started
+    world.close()
+    return seconds / (N_TIMED * run.n_agents), n_bytes / run.n_agents
 
 
 def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:

@@ -2,12 +2,13 @@
 
     python -m scripts.studies.other_worlds
 
-lets robots live in worlds of Gymnasium, by the command `torch-iac train`. It prints, for actions
+lets robots develop in worlds of Gymnasium. It prints, for actions
 held for one step and for ten, how many of the cuts are on an action, for only there can a robot
 choose; then in which posture swimmers spend their time, and draws that. Needs the extra `mujoco`.
 Runs that are in the folder already are not run again.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,27 +20,27 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from scripts.studies.study import clear_unfinished, recorded
+from torch_iac import Drive, Experiment, IACConfig, Progress, Random
 from torch_iac.analysis.bootstrap import band
 from torch_iac.analysis.style import STYLE, ZONE_COLOURS, legend, time_axis
-from torch_iac.cli.main import main as torch_iac
-from torch_iac.runs.reader import Run, load_run
+from torch_iac.compare.engine import run_variants
+from torch_iac.runs.reader import Run
 
 WORLDS = ("Pendulum-v1", "MountainCarContinuous-v0", "Swimmer-v5")
-DRIVES = ("progress", "random")
+DRIVES: dict[str, Drive] = {"progress": Progress(), "random": Random()}
 SWIMMER, HOLDS = WORLDS[-1], (1, 10)
 STOP = 1.7
 """Radians: a joint of the swimmer that is bent so far is at its stop, which is at 1.745."""
 POSTURES = ("both joints at a stop", "one joint at a stop", "no joint at a stop")
 N_PARTS = 4
-"""Shares and errors are told for so many equal parts of life."""
+"""Shares and errors are told for so many equal parts of a run."""
 N_POINTS = 40
 """A curve has so many points."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """How many robots live for how long; they have the seeds 0, 1, ..."""
+    """How many robots develop for how long; they have the seeds 0, 1, ..."""
 
     robots: int = 5
     """How many in each world."""
@@ -53,44 +54,60 @@ class Study:
     """Where the run folders go."""
     picture: Path = Path("docs/images/swimmer.png")
     """Where the picture goes."""
+    processes: int = 2
+    """How many runs go on at once."""
 
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print the tables and draw the picture."""
     tell_choices(study)
-    numbers = (study.swimmers, study.swimmer_steps)
-    swimmers = [run_of(study.out, SWIMMER, HOLDS[-1], drive, *numbers) for drive in DRIVES]
+    swimmers = runs_of(
+        study, "swimmers", [(SWIMMER, HOLDS[-1])], study.swimmers, study.swimmer_steps
+    )[0]
     for name, run in zip(DRIVES, swimmers, strict=True):
         tell_postures(name, run)
     draw(swimmers, study.picture)
 
 
 def tell_choices(study: Study) -> None:
-    """Print where the trees let robots choose, and whether they then live otherwise."""
+    """Print where the trees let robots choose, and whether they then do otherwise."""
     kinds = [(world, hold) for world in WORLDS for hold in HOLDS]
-    numbers = (study.robots, study.steps)
-    pairs = [[run_of(study.out, *kind, drive, *numbers) for drive in DRIVES] for kind in kinds]
-    print("| world | held for | cuts on an action | the drive changes the lives of |")
+    pairs = runs_of(study, "choices", kinds, study.robots, study.steps)
+    print("| world | held for | cuts on an action | the drive changes what is done by |")
     print("|---|---|---|---|")
     for (world, hold), (curious, random) in zip(kinds, pairs, strict=True):
         n_changed = np.any(actions(curious) != actions(random), axis=(0, 2)).sum()
-        lives = f"{n_changed} of {curious.n_agents} robots"
-        print(f"| {world} | {hold} | {cuts_on_actions(curious)} | {lives} |")
+        changed = f"{n_changed} of {curious.n_agents} robots"
+        print(f"| {world} | {hold} | {cuts_on_actions(curious)} | {changed} |")
 
 
-def run_of(out: Path, world: str, hold: int, drive: str, n_robots: int, n_steps: int) -> Run:
-    """Return a run of all robots in one world; it is run if it is not there yet."""
-    folder = out / f"{world}-hold-{hold}-{drive}-{n_robots}-robots-{n_steps}-steps"
-    if clear_unfinished(folder):
-        words = f"train --world {world} --hold {hold} --drive {drive} --no-mp"
-        numbers = f"--agents {n_robots} --steps {n_steps}"
-        torch_iac([*words.split(), *numbers.split(), "--out", str(folder)])
-    return load_run(folder)
+def runs_of(
+    study: Study, folder: str, kinds: Sequence[tuple[str, int]], n_robots: int, n_steps: int
+) -> list[list[Run]]:
+    """Return the runs with each drive, in worlds in which an action is held for some steps.
+
+    All robots of a world and a drive are one run; it is run if it is not there yet.
+    """
+    experiments = {
+        f"{world}-hold-{hold}-{name}": Experiment(
+            world=world, hold=hold, config=IACConfig(drive=drive, meta=None), steps=n_steps
+        )
+        for world, hold in kinds
+        for name, drive in DRIVES.items()
+    }
+    runs = run_variants(
+        study.out / folder,
+        experiments,
+        n_seeds=n_robots,
+        block=n_robots,
+        processes=study.processes,
+    )
+    return [[runs[f"{world}-hold-{hold}-{name}"][0] for name in DRIVES] for world, hold in kinds]
 
 
 def actions(run: Run) -> NDArray[Any]:
     """Return what was done, shape `(T, A, actions)`."""
-    return recorded(run, (f"action/{of.name}" for of in run.space.actions))
+    return run.columns(f"action/{of.name}" for of in run.space.actions)
 
 
 def cuts_on_actions(run: Run) -> str:
@@ -106,7 +123,7 @@ def postures(run: Run) -> NDArray[np.intp]:
 
 
 def shares(run: Run, n_parts: int) -> NDArray[np.float64]:
-    """Return the share of each posture in equal parts of life, shape `(parts, A, postures)`."""
+    """Return the share of each posture in equal parts of a run, shape `(parts, A, postures)`."""
     parts = np.array_split(postures(run), n_parts)
     return np.stack(
         [[(part == p).mean(axis=0) for p in range(len(POSTURES))] for part in parts]
@@ -129,8 +146,8 @@ def tell_postures(name: str, run: Run) -> None:
     print(f"\nBoth at a stop more in the first half: {n_folded_first} of {run.n_agents} robots.")
 
 
-def draw(runs: list[Run], picture: Path) -> None:
-    """Draw the share of each posture over life, for each drive; bands are 95 % intervals."""
+def draw(runs: Sequence[Run], picture: Path) -> None:
+    """Draw the share of each posture over time, for each drive; bands are 95 % intervals."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 2.7), layout="constrained")
         panels = figure.subplots(1, len(runs), sharey=True)

@@ -23,8 +23,8 @@ from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from scripts.studies.claims import F1, LATE, in_words, last_error, ratio, time_in
-from scripts.studies.reproduce_paper import LABELS, SETS, VARIANTS, Variant, life_of
-from scripts.studies.study import live_all
+from scripts.studies.reproduce_paper import LABELS, SETS, VARIANTS, runs_in
+from torch_iac import Experiment
 from torch_iac.analysis.bootstrap import Estimate, mean
 from torch_iac.analysis.generalisation import F2
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save
@@ -88,16 +88,9 @@ def main(study: Study) -> None:
 def runs_of(study: Study, parts: Sequence[float]) -> dict[Place, list[Run]]:
     """Return the runs, by the part of the sounds that is in f2 and by the kind of robots."""
     places = [(part, kind + drive) for part in parts for kind in KINDS for drive in DRIVES]
-    seeds = range(study.seeds)
-    lives = [
-        life_of(
-            study.out, "kinematic", name_of(part, name), variant_of(part, name), seeds, study.steps
-        )
-        for part, name in places
-    ]
-    return {
-        place: [run] for place, run in zip(places, live_all(lives, study.processes), strict=True)
-    }
+    experiments = {name_of(*place): experiment_of(*place) for place in places}
+    runs = runs_in("kinematic", experiments, study.seeds, study)
+    return {place: runs[name_of(*place)] for place in places}
 
 
 def name_of(part: float, name: str) -> str:
@@ -105,11 +98,11 @@ def name_of(part: float, name: str) -> str:
     return name if part == COMMON else f"{name}-f2-{part:g}"
 
 
-def variant_of(part: float, name: str) -> Variant:
+def experiment_of(part: float, name: str) -> Experiment:
     """Return such robots, in a room where f2 and f3 have that part of the sounds each."""
     if part == COMMON:
         return VARIANTS[name]
-    return replace(VARIANTS[name], options={"f1_end": 1 - 2 * part, "f2_end": 1 - part})
+    return replace(VARIANTS[name], world_options={"f1_end": 1 - 2 * part, "f2_end": 1 - part})
 
 
 def print_table(runs: Mapping[Place, Sequence[Run]], errors: Errors) -> None:

@@ -8,10 +8,10 @@ and draws the generalisation tests. Runs that are in the folder already are not 
 `docs/results.md` holds a copy.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -34,69 +34,65 @@ from scripts.studies.claims import (
     ratio,
     time_in,
 )
-from scripts.studies.study import KINEMATIC, WORLD, Life, live_all
 from torch_iac.analysis.bootstrap import band, mean
 from torch_iac.analysis.generalisation import F2, sets_aside, tests_of
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save, time_axis
+from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
 TEST_EVERY = 100  # decisions, as in 2007
 
-NETWORKS = iac.MLPExperts()
 MP = iac.MetaPredictor()
-EVENLY = iac.Proportional()
+NETWORKS: dict[str, Any] = {"experts": iac.MLPExperts()}
+EVENLY: dict[str, Any] = {"drive": iac.AbsoluteProgress(), "choice": iac.Proportional()}
 
 
-@dataclass(frozen=True)
-class Variant:
-    """Robots that are alike but for their seeds.
-
-    Attributes:
-        config: Their numbers.
-        options: The arguments of their world.
-        in_pybullet: Whether they live in pybullet's room as well.
-    """
-
-    config: iac.IACConfig
-    options: Mapping[str, Any] = field(default_factory=dict)
-    in_pybullet: bool = False
+def robots(**numbers: Any) -> iac.Experiment:
+    """Return robots of the kinematic room with the paper's numbers but these, and without MP."""
+    config = iac.IACConfig(**{"meta": None, **numbers})
+    return iac.Experiment(world="kinematic", config=config, test_every=TEST_EVERY)
 
 
-def _of_2007(drive: iac.Drive, meta: iac.MetaPredictor | None = None) -> Variant:
+def robots_of_2007(drive: iac.Drive, meta: iac.MetaPredictor | None = None) -> iac.Experiment:
     """Return robots with that paper's numbers and senses."""
     config = replace(iac.PRESETS["iac2007"], drive=drive, meta=meta)
-    return Variant(config, {"beams": 0, "toy_direction": False})
+    options = {"beams": 0, "toy_direction": False}
+    return replace(robots(), config=config, world_options=options)
 
 
 VARIANTS = {
-    "knn": Variant(iac.IACConfig(), in_pybullet=True),
-    "knn-random": Variant(iac.IACConfig(drive=iac.Random()), in_pybullet=True),
-    "knn-max": Variant(iac.IACConfig(drive=iac.Error()), in_pybullet=True),
-    "knn-global": Variant(iac.IACConfig(drive=iac.GlobalProgress(), meta=MP), in_pybullet=True),
-    "knn-proportional": Variant(iac.IACConfig(drive=iac.AbsoluteProgress(), choice=EVENLY)),
-    "knn-curriculum": Variant(iac.IACConfig(drive=iac.Curriculum())),
-    "mlp": Variant(iac.IACConfig(experts=NETWORKS), in_pybullet=True),
-    "mlp-random": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Random()), in_pybullet=True),
-    "mlp-max": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Error()), in_pybullet=True),
-    "mlp-global": Variant(
-        iac.IACConfig(experts=NETWORKS, drive=iac.GlobalProgress(), meta=MP), in_pybullet=True
-    ),
-    "mlp-proportional": Variant(
-        iac.IACConfig(experts=NETWORKS, drive=iac.AbsoluteProgress(), choice=EVENLY)
-    ),
-    "mlp-curriculum": Variant(iac.IACConfig(experts=NETWORKS, drive=iac.Curriculum())),
-    "2007": _of_2007(iac.Progress()),
-    "2007-random": _of_2007(iac.Random()),
-    "2007-max": _of_2007(iac.Error()),
-    "2007-global": _of_2007(iac.GlobalProgress(), MP),
+    "knn": robots(),
+    "knn-random": robots(drive=iac.Random()),
+    "knn-max": robots(drive=iac.Error()),
+    "knn-global": robots(drive=iac.GlobalProgress(), meta=MP),
+    "knn-proportional": robots(**EVENLY),
+    "knn-curriculum": robots(drive=iac.Curriculum()),
+    "mlp": robots(**NETWORKS),
+    "mlp-random": robots(**NETWORKS, drive=iac.Random()),
+    "mlp-max": robots(**NETWORKS, drive=iac.Error()),
+    "mlp-global": robots(**NETWORKS, drive=iac.GlobalProgress(), meta=MP),
+    "mlp-proportional": robots(**NETWORKS, **EVENLY),
+    "mlp-curriculum": robots(**NETWORKS, drive=iac.Curriculum()),
+    "2007": robots_of_2007(iac.Progress()),
+    "2007-random": robots_of_2007(iac.Random()),
+    "2007-max": robots_of_2007(iac.Error()),
+    "2007-global": robots_of_2007(iac.GlobalProgress(), MP),
 }
+"""What is run in the kinematic room."""
 
+IN_PYBULLET = [
+    kind + drive for kind in ("knn", "mlp") for drive in ("", "-random", "-max", "-global")
+]
+"""What is run in pybullet's room as well."""
+
+BLOCKS = {"kinematic": 50, "toyroom": 15}
+"""How many robots of each room are one run."""
 
 COLUMNS = {
     "nearest neighbours": ("kinematic", "knn"),
-    "in pybullet": ("pybullet", "knn"),
+    "in pybullet": ("toyroom", "knn"),
     "networks": ("kinematic", "mlp"),
-    "networks in pybullet": ("pybullet", "mlp"),
+    "networks in pybullet": ("toyroom", "mlp"),
     "numbers and senses of 2007": ("kinematic", "2007"),
 }
 """The columns of the table of claims: a world, and the name of the robots there."""
@@ -122,11 +118,9 @@ class Study:
     """How many robots, and for how long."""
 
     kinematic_seeds: int = 100
-    """How many robots of each kind live in the kinematic room, with the seeds 0, 1, ..."""
+    """How many robots of each kind are in the kinematic room, with the seeds 0, 1, ..."""
     pybullet_seeds: int = 30
     """How many in pybullet's."""
-    block: int = 15
-    """How many of those in pybullet's room are one run."""
     steps: int = 10_000
     """How many decisions each takes."""
     out: Path = Path("runs/paper")
@@ -147,12 +141,40 @@ def main(study: Study) -> None:
 
 def runs_of(study: Study) -> dict[str, dict[str, list[Run]]]:
     """Return the runs of each variant in each world; those that are not there yet are run."""
-    places = list(_lives(study))
-    runs = live_all([life for _, _, life in places], study.processes)
-    found: dict[str, dict[str, list[Run]]] = {"kinematic": {}, "pybullet": {}}
-    for (world, name, _), run in zip(places, runs, strict=True):
-        found[world].setdefault(name, []).append(run)
-    return found
+    physical = {name: VARIANTS[name] for name in IN_PYBULLET}
+    return {
+        "kinematic": runs_in("kinematic", VARIANTS, study.kinematic_seeds, study),
+        "toyroom": runs_in("toyroom", physical, study.pybullet_seeds, study),
+    }
+
+
+class Numbers(Protocol):
+    """What all studies that share these runs are told."""
+
+    @property
+    def steps(self) -> int:
+        """How many decisions each robot takes."""
+
+    @property
+    def out(self) -> Path:
+        """Where the runs of all worlds are."""
+
+    @property
+    def processes(self) -> int:
+        """How many runs go on at once."""
+
+
+def runs_in(
+    world: str, experiments: Mapping[str, iac.Experiment], n_seeds: int, numbers: Numbers
+) -> dict[str, list[Run]]:
+    """Return runs in a world, by name; those that are not there yet are run."""
+    return run_variants(
+        numbers.out / world,
+        {name: replace(of, world=world, steps=numbers.steps) for name, of in experiments.items()},
+        n_seeds=n_seeds,
+        block=BLOCKS[world],
+        processes=numbers.processes,
+    )
 
 
 def group(runs: Mapping[str, Sequence[Run]], kind: str) -> Group:
@@ -195,7 +217,7 @@ def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
     for name, mine in runs.items():
         others = runs[f"{name.partition('-')[0]}-random"]
         cells = [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
-        sets = sets_aside(KINEMATIC, tuple(VARIANTS[name].options.items()))
+        sets = sets_aside("kinematic", VARIANTS[name].world_options)
         cells.append(in_words(mean(gaps(mine, sets["met"])), ".3f"))
         for which in SETS:
             errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
@@ -244,29 +266,6 @@ def draw_curves(panel: Axes, curves: Mapping[str, tuple[str, Sequence[Run]]], wh
     panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))
     panel.yaxis.set_minor_locator(NullLocator())
     panel.yaxis.set_major_formatter("{x:g}")
-
-
-def _lives(study: Study) -> Iterator[tuple[str, str, Life]]:
-    """Return every run, with its world and its variant."""
-    whole = range(study.kinematic_seeds)
-    blocks = [
-        range(first, min(first + study.block, study.pybullet_seeds))
-        for first in range(0, study.pybullet_seeds, study.block)
-    ]
-    for name, variant in VARIANTS.items():
-        yield "kinematic", name, life_of(study.out, "kinematic", name, variant, whole, study.steps)
-        for seeds in blocks if variant.in_pybullet else ():
-            life = life_of(study.out, "pybullet", name, variant, seeds, study.steps)
-            yield "pybullet", name, life
-
-
-def life_of(
-    out: Path, world: str, name: str, variant: Variant, seeds: range, n_decisions: int
-) -> Life:
-    """Return the run of some robots of a variant in a world."""
-    folder = out / world / name / f"seeds-{seeds.start:03d}-{seeds.stop - 1:03d}"
-    place = {"kinematic": KINEMATIC, "pybullet": WORLD}[world]
-    return Life(folder, variant.config, seeds, n_decisions, place, variant.options, TEST_EVERY)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ much progress they met, and draws their time. Runs that are in the folders alrea
 again. Needs the extra `sb3`.
 """
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +21,21 @@ import torch
 import tyro
 from numpy.typing import NDArray
 from stable_baselines3 import SAC
-from tqdm import tqdm
 
 import torch_iac as iac
 from scripts.studies.claims import each, focus, gaps, in_order, in_words, last_error
-from scripts.studies.reproduce_paper import SETS, TEST_EVERY
+from scripts.studies.reproduce_paper import SETS, runs_in
 from scripts.studies.reproduce_paper import VARIANTS as PAPERS
-from scripts.studies.reproduce_paper import life_of as of_paper
-from scripts.studies.study import WORLD, Diary, Life, clear_unfinished, live
+from scripts.studies.reproduce_paper import Study as PaperStudy
 from torch_iac.analysis.bootstrap import difference
 from torch_iac.analysis.generalisation import sets_aside
 from torch_iac.analysis.style import save
+from torch_iac.compare.engine import run_variants
+from torch_iac.compare.plan import Job
 from torch_iac.compare.plots import Curves, draw_shares
-from torch_iac.runs.reader import Run, load_run
+from torch_iac.runs.reader import Run
+from torch_iac.runs.recorder import Recorder
+from torch_iac.toy_room import OUTCOMES, WORLDS
 
 Values = NDArray[np.float64]
 
@@ -65,7 +67,16 @@ class Learner:
 SCALE = 100.0
 """What progress is multiplied by, so that rewards are about 1."""
 
-LEARNERS = {"SAC, next reward only": Learner(gamma=0.0), "SAC, far-sighted": Learner(gamma=0.9)}
+LEARNERS = {"SAC-next-reward-only": Learner(gamma=0.0), "SAC-far-sighted": Learner(gamma=0.9)}
+LABELS = {
+    "SAC-next-reward-only": "SAC, next reward only",
+    "SAC-far-sighted": "SAC, far-sighted",
+    "IAC": "IAC",
+    "random": "random",
+}
+
+ROBOTS = replace(PAPERS["knn"], world="toyroom")
+"""Whose experts make the progress; SAC chooses what they do."""
 
 OTHERS = {"IAC": "knn", "random": "knn-random"}
 """What the others are called here, and in `scripts.studies.reproduce_paper`."""
@@ -86,65 +97,61 @@ class Study:
     """Where SAC's run folders and the figure go."""
     paper: Path = Path("runs/paper")
     """Where the others' runs are, or go."""
+    processes: int = 2
+    """How many runs go on at once."""
 
 
 def main(study: Study) -> None:
-    """Run what is not there yet, one run after the other, then print and draw."""
+    """Run what is not there yet, then print and draw."""
     torch.set_num_threads(1)
-    pairs = [(seed, name) for seed in range(study.seeds) for name in LEARNERS]
-    for seed, name in tqdm(pairs, unit="run", disable=None):
-        maximise(LEARNERS[name], life_of(study, name, seed))
-    runs = {
-        "IAC": others(study, "IAC"),
-        **{
-            name: [load_run(life_of(study, name, seed).folder) for seed in range(study.seeds)]
-            for name in LEARNERS
-        },
-        "random": others(study, "random"),
-    }
+    here = replace(ROBOTS, steps=study.steps)
+    of_sac = run_variants(
+        study.out,
+        dict.fromkeys(LEARNERS, here),
+        n_seeds=study.seeds,
+        processes=study.processes,
+        make=run_sac,
+    )
+    paper = PaperStudy(steps=study.steps, out=study.paper, processes=study.processes)
+    others = runs_in("toyroom", {of: PAPERS[of] for of in OTHERS.values()}, N_OTHERS, paper)
+    by_name = {"IAC": others[OTHERS["IAC"]], **of_sac, "random": others[OTHERS["random"]]}
+    runs = {LABELS[name]: of for name, of in by_name.items()}
     print_table(runs, study.steps // 2)
     print_differences(runs)
     curves = {name: Curves.of(of) for name, of in runs.items()}
     save(draw_shares(curves), study.out / "shares.png")
 
 
-def life_of(study: Study, name: str, seed: int) -> Life:
-    """Return the run of a robot that SAC drives."""
-    folder = study.out / name.replace(",", "").replace(" ", "-") / f"seed-{seed:03d}"
-    return Life(folder, iac.IACConfig(), (seed,), study.steps, test_every=TEST_EVERY)
+def run_sac(job: Job) -> None:
+    """Make a run of a comparison: SAC maximises the progress of the robot's experts."""
+    shutil.rmtree(job.folder, ignore_errors=True)  # SAC cannot go on where it stopped
+    maximise(LEARNERS[job.variant], iac.Experiment.from_json(job.content), job.folder)
 
 
-def others(study: Study, name: str) -> list[Run]:
-    """Return the run of robots that choose for themselves."""
-    kind = OTHERS[name]
-    life = of_paper(study.paper, "pybullet", kind, PAPERS[kind], range(N_OTHERS), study.steps)
-    live(life)
-    return [load_run(life.folder)]
-
-
-def maximise(kind: Learner, life: Life) -> None:
-    """Let SAC maximise the learning progress of a robot's experts, unless it did already."""
-    if not clear_unfinished(life.folder):
-        return
-    (seed,) = life.seeds
-    world = gym.make(life.world)
-    env = iac.ProgressReward(world, life.config, outcomes=["toy_distance"], seed=seed, scale=SCALE)
-    numbers = asdict(kind)
+def maximise(learner: Learner, experiment: iac.Experiment, folder: Path) -> None:
+    """Let SAC maximise the learning progress of a robot's experts in a toy room."""
+    (seed,) = experiment.seeds
+    world = gym.make(WORLDS[experiment.world])
+    outcomes = OUTCOMES[experiment.world]
+    env = iac.ProgressReward(world, experiment.config, outcomes=outcomes, seed=seed, scale=SCALE)
+    numbers = asdict(learner)
     policy = {"net_arch": list(numbers.pop("net_arch"))}
     sac = SAC("MlpPolicy", env, policy_kwargs=policy, seed=seed, device="cpu", **numbers)
-    with ExitStack() as stack:
-        diary = Diary(life, env.agent, env, stack)
-        sac.learn(life.n_decisions, callback=keeper(env, diary))
-        diary.close()
+    zones = env.metadata["zone_names"]
+    with Recorder(folder, env.agent, zones, experiment.to_json()) as recorder:
+        sac.learn(experiment.steps, callback=keeper(env, recorder, experiment.tests(folder)))
     env.close()
 
 
-def keeper(env: iac.ProgressReward, diary: Diary) -> Callable[[dict[str, Any], Any], bool]:
+def keeper(
+    env: iac.ProgressReward, recorder: Recorder, test: Callable[[iac.IAC], None]
+) -> Callable[[dict[str, Any], Any], bool]:
     """Return what SAC is to call after each decision: it keeps the decision, and goes on."""
 
     def keep(seen: dict[str, Any], _: Any) -> bool:
         assert env.last is not None
-        diary.keep(env.agent, env.last, np.array([seen["infos"][0]["zone"]]))
+        recorder.record(env.last, np.array([seen["infos"][0]["zone"]]))
+        test(env.agent)
         return True
 
     return keep
@@ -168,9 +175,9 @@ def rows(late: int) -> dict[str, Callable[[Sequence[Run]], str]]:
         return lambda of: spread(last_error(of, which, "absolute"), ".4f")
 
     def gap(which: str) -> Callable[[Sequence[Run]], str]:
-        asked = sets_aside(WORLD, ())[which]
-        return lambda of: spread(gaps(of, asked), ".3f")
+        return lambda of: spread(gaps(of, sets[which]), ".3f")
 
+    sets = sets_aside(ROBOTS.world, {})
     parts = {"first 1,000": slice(1000), f"last {late:,}": slice(-late, None)}
     return {
         **{f"{of}: f{z + 1}": share(part, z) for of, part in parts.items() for z in range(3)},
@@ -191,7 +198,7 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
     """Print how the last errors of SAC's robots differ from those of robots with the same seeds."""
     titles = [f"less that of {name}" for name in OTHERS]
     print(f"\n| error in f2 | {' | '.join(titles)} |\n|---|---|---|")
-    for name in LEARNERS:
+    for name in map(LABELS.__getitem__, LEARNERS):
         for which, title in SETS.items():
             mine = last_error(runs[name], which, "absolute")
             theirs = (last_error(runs[of], which, "absolute")[: len(mine)] for of in OTHERS)

@@ -8,24 +8,23 @@ f2. Runs that are in the folder already are not run again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
-from tqdm import tqdm
 
 from scripts.studies.claims import F1, in_order, in_words, share, time_in
-from scripts.studies.study import KINEMATIC, Life, live_together
-from torch_iac import IACConfig, KNNExperts
+from torch_iac import Experiment, IACConfig, KNNExperts
 from torch_iac.analysis.bootstrap import Estimate, mean
 from torch_iac.analysis.generalisation import F2
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save
-from torch_iac.runs.reader import Run, load_run
+from torch_iac.compare.engine import run_variants
+from torch_iac.runs.reader import Run
 from torch_iac.runs.summary import SETTLING
 
 
@@ -37,47 +36,52 @@ class Parameter:
         title: What it is called, with the paper's symbol.
         values: Its values; the default is among them.
         default: The default.
-        config: The robots' numbers for a value.
-        is_noise: Whether it is the world's sensor noise rather than the robots'.
+        experiment: The robots, and their world, for a value.
     """
 
     title: str
     values: Sequence[float]
     default: float
-    config: Callable[[float], IACConfig]
-    is_noise: bool = False
+    experiment: Callable[[float], Experiment]
+
+
+def robots(**numbers: Any) -> Experiment:
+    """Return robots with the paper's numbers but these, and without MP."""
+    return Experiment(world="kinematic", config=IACConfig(meta=None, **numbers))
 
 
 PARAMETERS = {
     "max_examples": Parameter(
-        "NS", (60, 125, 250, 500, 1000), 250, lambda value: IACConfig(max_examples=int(value))
+        "NS", (60, 125, 250, 500, 1000), 250, lambda value: robots(max_examples=int(value))
     ),
     "delay": Parameter(
         "DELAY",
         (25, 50, 150, 300, 600),
         150,
-        lambda value: IACConfig(window=int(value), delay=int(value)),
+        lambda value: robots(window=int(value), delay=int(value)),
     ),
     "epsilon": Parameter(
-        "epsilon", (0.0, 0.05, 0.1, 0.2, 0.35), 0.1, lambda value: IACConfig(epsilon=value)
+        "epsilon", (0.0, 0.05, 0.1, 0.2, 0.35), 0.1, lambda value: robots(epsilon=value)
     ),
     "n_candidates": Parameter(
-        "candidates", (5, 15, 50, 150), 50, lambda value: IACConfig(n_candidates=int(value))
+        "candidates", (5, 15, 50, 150), 50, lambda value: robots(n_candidates=int(value))
     ),
     "balance": Parameter(
-        "balance", (0.0, 0.05, 0.15, 0.3, 0.45), 0.15, lambda value: IACConfig(balance=value)
+        "balance", (0.0, 0.05, 0.15, 0.3, 0.45), 0.15, lambda value: robots(balance=value)
     ),
     "k": Parameter(
-        "k", (1, 3, 5, 10, 20), 1, lambda value: IACConfig(experts=KNNExperts(k=int(value)))
+        "k", (1, 3, 5, 10, 20), 1, lambda value: robots(experts=KNNExperts(k=int(value)))
     ),
     "sensor_noise": Parameter(
         "sensor noise (m)",
         (0.0, 0.005, 0.01, 0.02, 0.05),
         0.01,
-        lambda value: IACConfig(),  # noqa: ARG005 - the robots stay as they are
-        is_noise=True,
+        lambda value: replace(robots(), world_options={"sensor_noise": value}),
     ),
 }
+
+BLOCK = 32
+"""How many robots are one run."""
 
 MEASURES: dict[str, Callable[[Sequence[Run]], Estimate]] = {
     "time in f1 after 1,000": lambda runs: mean(time_in(runs, F1, SETTLING)),
@@ -102,17 +106,17 @@ class Study:
 
 def main(study: Study) -> None:
     """Run what is not there yet, then print and draw."""
-    places = {
-        (name, value): _life(study, name, parameter, value)
-        for name, parameter in PARAMETERS.items()
-        for value in parameter.values
-    }
-    live_side_by_side(
-        list({life.folder: life for life in places.values()}.values()), study.processes
+    places = [(name, value) for name, of in PARAMETERS.items() for value in of.values]
+    runs = run_variants(
+        study.out,
+        {name_of(*place): replace(experiment_of(*place), steps=study.steps) for place in places},
+        n_seeds=study.seeds,
+        block=BLOCK,
+        processes=study.processes,
     )
     found = {
-        place: {title: of([load_run(life.folder)]) for title, of in MEASURES.items()}
-        for place, life in places.items()
+        place: {title: of(runs[name_of(*place)]) for title, of in MEASURES.items()}
+        for place in places
     }
     print(f"| parameter | value | {' | '.join(MEASURES)} |\n|---|---|" + "---|" * len(MEASURES))
     for (name, value), measures in found.items():
@@ -123,22 +127,15 @@ def main(study: Study) -> None:
     save(draw(found), study.out / "sensitivity.png")
 
 
-def live_side_by_side(lives: Sequence[Life], processes: int) -> None:
-    """Carry out runs, those in worlds with the same options side by side."""
-    by_options: dict[tuple[tuple[str, object], ...], list[Life]] = {}
-    for life in lives:
-        by_options.setdefault(tuple(life.options.items()), []).append(life)
-    with ProcessPoolExecutor(processes) as pool:
-        list(tqdm(pool.map(live_together, by_options.values()), unit="world", disable=None))
+def name_of(name: str, value: float) -> str:
+    """Return what robots are called in the folder; those with defaults are the same."""
+    return "default" if value == PARAMETERS[name].default else f"{name}={value:g}"
 
 
-def _life(study: Study, name: str, parameter: Parameter, value: float) -> Life:
-    """Return the run with a value; defaults share one."""
-    is_default = value == parameter.default
-    folder = study.out / ("default" if is_default else f"{name}={value:g}")
-    options = {"sensor_noise": value} if parameter.is_noise and not is_default else {}
-    config = IACConfig() if is_default else parameter.config(value)
-    return Life(folder, config, range(study.seeds), study.steps, KINEMATIC, options)
+def experiment_of(name: str, value: float) -> Experiment:
+    """Return the robots, and their world, with a value."""
+    parameter = PARAMETERS[name]
+    return robots() if value == parameter.default else parameter.experiment(value)
 
 
 def draw(found: Mapping[tuple[str, float], Mapping[str, Estimate]]) -> Figure:

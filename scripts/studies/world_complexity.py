@@ -1,8 +1,8 @@
 """How hard are the toy room's three zones? What can be learnt in each, and from how much.
 
-    python scripts/studies/world_complexity.py
+    python -m scripts.studies.world_complexity
 
-lives through random decisions and lets offline regressors predict the next toy distance from the
+takes random decisions and lets offline regressors predict the next toy distance from the
 action and the sensors before it, both scaled to [0, 1], zone by zone; a quarter of the decisions is
 held out. It prints two Markdown tables: what each predictor leaves, and what the best one leaves
 when it has seen fewer examples. `docs/worlds.md` holds a copy.
@@ -39,7 +39,7 @@ class Study:
     """What is measured."""
 
     transitions: int = 20_000
-    """How many random decisions are lived through."""
+    """How many random decisions are taken."""
     seed: int = 0
     """Seeds the world, the decisions and the regressors."""
     sizes: tuple[int, ...] = (25, 50, 100, 200, 500, 1_000, 2_000, 5_000)
@@ -76,7 +76,7 @@ class Error:
     squared: float
 
 
-def live(n_transitions: int, seed: int) -> list[Zone]:
+def random_transitions(n_transitions: int, seed: int) -> list[Zone]:
     """Return what random decisions lead to, one entry a zone."""
     env = gym.make("torch_iac_envs/ToyRoom-v0", disable_env_checker=True)
     outcome = env.unwrapped.metadata["sensor_names"].index("toy_distance")
@@ -189,7 +189,7 @@ def print_curves(curves: list[list[float]], floors: list[float], sizes: tuple[in
 def main(study: Study) -> None:
     """Print both tables."""
     warnings.simplefilter("ignore", ConvergenceWarning)
-    zones = live(study.transitions, study.seed)
+    zones = random_transitions(study.transitions, study.seed)
     makes = predictors(study.seed)
     errors = [{name: error_of(make, zone) for name, make in makes.items()} for zone in zones]
     print_table(errors)

@@ -1,12 +1,22 @@
 """Transitions set aside, and how well robots predict them."""
 
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac import IAC, SensorimotorSpace
-from torch_iac.analysis.generalisation import Transitions, collect, errors_on, plateau
+from torch_iac.analysis.generalisation import (
+    TESTS,
+    Transitions,
+    collect,
+    errors_on,
+    plateau,
+    record_tests,
+)
 
 WORLDS = ["torch_iac_envs/ToyRoomKinematic-v0", "torch_iac_envs/ToyRoom-v0"]
 F2, F3 = 1, 2
@@ -71,6 +81,27 @@ def test_what_was_learnt_is_predicted(space: SensorimotorSpace) -> None:
     agent.observe(np.array([[1.0, 2.5]], np.float32))
     learnt = Transitions(action, sensors, np.array([[2.5]], np.float32))
     assert errors_on(learnt, agent).absolute.item() == pytest.approx(0, abs=1e-6)
+
+
+def test_tests_that_are_ahead_of_the_agents_are_dropped(
+    space: SensorimotorSpace, tmp_path: Path
+) -> None:
+    """A run that was killed goes on from an earlier checkpoint."""
+    sensors = np.array([[1.0, 2.0]], np.float32)
+    sets = {"met": Transitions(sensors * 0, sensors, sensors[:, :1])}
+
+    def tested(n_decisions: int) -> list[int]:
+        agent = IAC(space)
+        for _ in range(n_decisions):
+            agent.act(sensors)
+            agent.observe(sensors)
+        record_tests(agent, sets, tmp_path)
+        steps: list[int] = pq.read_table(tmp_path / TESTS)["step"].to_pylist()
+        return steps
+
+    assert tested(1) == [1]
+    assert tested(3) == [1, 3]
+    assert tested(2) == [1, 2]
 
 
 def test_a_plateau_begins_where_errors_cease_to_change() -> None:

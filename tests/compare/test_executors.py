@@ -44,8 +44,8 @@ def test_every_run_ends_in_its_own_way(tmp_path: Path) -> None:
 
 def test_who_wants_to_stop_is_heard(tmp_path: Path) -> None:
     jobs = [job(tmp_path, "fine", number) for number in range(40)]
-    crew = on_processes(jobs, live, 1)
-    assert not carry_out(dict.fromkeys(jobs, 1), crew, stop=lambda: True)
+    ended = on_processes(jobs, live, 1)
+    assert not carry_out(dict.fromkeys(jobs, 1), ended, stop=lambda: True)
     assert states(*jobs).count("done") < 40
     assert set(states(*jobs)) <= {"done", "open"}
 

@@ -9,9 +9,9 @@ import pytest
 
 import torch_iac as iac
 import torch_iac_envs  # noqa: F401 - registers the worlds
-from scripts.studies import study
 from torch_iac.analysis import generalisation
 from torch_iac.runs.reader import load_run
+from torch_iac.toy_room import WORLDS
 
 pytest.importorskip("stable_baselines3", reason="needs SB3: pip install 'torch_iac[sb3]'")
 pytestmark = pytest.mark.filterwarnings("default")  # SB3 has warnings of its own
@@ -22,7 +22,9 @@ SMALL = iac.IACConfig(max_examples=10, window=4, delay=4)
 def test_sac_is_given_the_experts_progress() -> None:
     from stable_baselines3 import SAC
 
-    env = iac.ProgressReward(gym.make(study.WORLD), SMALL, outcomes=["toy_distance"], scale=100.0)
+    env = iac.ProgressReward(
+        gym.make(WORLDS["toyroom"]), SMALL, outcomes=["toy_distance"], scale=100.0
+    )
     sac = SAC("MlpPolicy", env, learning_starts=30, seed=0, device="cpu")
     seen = []
 
@@ -50,14 +52,12 @@ def test_a_robot_that_sac_drives_leaves_a_run_like_any_other(
     from scripts.studies.sac import Learner, maximise
 
     monkeypatch.setattr(generalisation, "N_TESTED", 5)
-    generalisation.sets_aside.cache_clear()
-    life = study.Life(tmp_path / "a", iac.IACConfig(), (3,), 40, test_every=20)
-    maximise(Learner(gamma=0.5, learning_starts=20, batch_size=8), life)
-    run = load_run(life.folder)
+    experiment = iac.Experiment(seeds=(3,), steps=40, test_every=20)
+    maximise(Learner(gamma=0.5, learning_starts=20, batch_size=8), experiment, tmp_path / "a")
+    run = load_run(tmp_path / "a")
     assert run.n_decisions == 40
     assert len(np.unique(run.column("zone")[:, 0])) == 3
     steps, errors = generalisation.tests_of([run], "met", "absolute")
     assert steps.tolist() == [20, 40]
     assert errors.shape == (2, 1)
     assert not np.allclose(errors[0], errors[1])
-    generalisation.sets_aside.cache_clear()

@@ -9,19 +9,22 @@ Source: Oudeyer, Kaplan and Hafner (2007), who test on transitions collected und
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import torch
 from numpy.typing import NDArray
 
 from torch_iac.agent import IAC
+from torch_iac.internal.files import write_table
 from torch_iac.internal.validation import check_count
 from torch_iac.runs.reader import Run
 from torch_iac.space import SensorimotorSpace
+from torch_iac.worlds.make import make_world
 
 PATIENCE = 1000
 """So many decisions for each transition are waited for a zone."""
@@ -89,7 +92,7 @@ def collect(
         n_transitions: How many are returned.
         seed: Seeds the worlds and the actions.
         zone: Only transitions in this zone, by its number in `info["zone"]`; all if none is given.
-        anew: Whether every action is taken from where a new life starts, rather than from where
+        anew: Whether every action is taken from where a new episode starts, rather than from where
             the actions before have led.
 
     Raises:
@@ -164,10 +167,27 @@ def tested(agent: IAC, sets: Mapping[str, Transitions]) -> list[dict[str, Any]]:
     ]
 
 
-@cache
-def sets_aside(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
-    """Return what is set aside in a world: transitions in f2, of two kinds."""
-    env = gym.make_vec(world, num_envs=1, **dict(options))
+def record_tests(agent: IAC, sets: Mapping[str, Transitions], folder: Path) -> None:
+    """Add how well the agents predict now to the tests in a run folder.
+
+    Tests of later decisions, which a run that was killed has left, are dropped.
+    """
+    rows = pa.Table.from_pylist(tested(agent, sets))
+    path = folder / TESTS
+    if path.exists():
+        before = pq.read_table(path, filters=[("step", "<", agent.n_decisions)])
+        rows = pa.concat_tables([before, rows])
+    write_table(path, rows)
+
+
+def sets_aside(world: str, options: Mapping[str, Any]) -> dict[str, Transitions]:
+    """Return what is set aside in a toy room: transitions in f2, of two kinds.
+
+    Args:
+        world: What an experiment calls it.
+        options: Its arguments.
+    """
+    env = make_world(world, 1, options, torch.device("cpu"))
     space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
     sets = {
         name: collect(env, space, N_TESTED, seed=TEST_SEED, zone=F2, anew=anew)

@@ -5,12 +5,11 @@ from pathlib import Path
 from shlex import split
 from typing import Any
 
-import gymnasium as gym
-
 from torch_iac.cli.commands import Compare
 from torch_iac.cli.exits import StoppedBySignalError, leave
 from torch_iac.cli.options import experiment_of
-from torch_iac.compare.executors import carry_out, on_processes, on_ray, run_experiment
+from torch_iac.compare.engine import complete
+from torch_iac.compare.executors import Ended, on_processes, on_ray, run_experiment
 from torch_iac.compare.plan import (
     PLAN,
     Comparison,
@@ -18,6 +17,7 @@ from torch_iac.compare.plan import (
     Variant,
     load_comparison,
     part_of,
+    plan_comparison,
     tally_states,
 )
 from torch_iac.experiment import Experiment
@@ -54,14 +54,10 @@ def _comparison(asked: Compare, words: Sequence[str]) -> Comparison:
         if name.strip() in described:
             raise ValueError(f"a variant's name must stand once, got {name.strip()} again")
         described[name.strip()] = _split(its_words, f"variant {name.strip()}")
-    numbers = {"n_seeds": asked.seeds, "seed": asked.seed, "block": asked.block}
-    folder = asked.folder.absolute()  # where the workers are, another may be the present one
-    if (folder / PLAN).exists():
-        known = load_comparison(folder)
-        for_all = tuple(words) or known.words
-        return known.grown(_variants(described, for_all), words, **numbers)
-    given: dict[str, Any] = {name: number for name, number in numbers.items() if number is not None}
-    return Comparison(folder, _variants(described, words), tuple(words), **given)
+    folder, numbers = asked.folder, {"n_seeds": asked.seeds, "seed": asked.seed}
+    known = load_comparison(folder).words if (folder / PLAN).exists() else ()
+    variants = _variants(described, tuple(words) or known)
+    return plan_comparison(folder, variants, words, **numbers, block=asked.block)
 
 
 def _variants(
@@ -130,16 +126,15 @@ def _split(text: str, whose: str) -> tuple[str, ...]:
 
 def _carry_out(asked: Compare, comparison: Comparison) -> None:
     """Carry out the runs that are not done."""
-    jobs = comparison.jobs()
-    sizes = _sizes(jobs, elsewhere=asked.ray is not None)
-    open_jobs = [job for job in _part(jobs, asked) if job.state != "done"]
-    if asked.ray is None:
-        crew = on_processes(open_jobs, run_experiment, asked.processes)
-    else:
-        crew = on_ray(open_jobs, run_experiment, asked.ray, asked.gpus)
-    comparison.save()
+
+    def begin(jobs: Sequence[Job]) -> Ended:
+        if asked.ray is None:
+            return on_processes(jobs, run_experiment, asked.processes)
+        return on_ray(jobs, run_experiment, asked.ray, asked.gpus)
+
+    jobs = _part(comparison.jobs(), asked)
     with stopping() as stop:
-        is_over = carry_out({job: sizes[job] for job in open_jobs}, crew, stop)
+        is_over = complete(comparison, jobs, begin, stop, elsewhere=asked.ray is not None)
     if not is_over:
         raise StoppedBySignalError(
             stop.signals[0], f"stopped; go on with: torch-iac compare {asked.folder}"
@@ -149,25 +144,6 @@ def _carry_out(asked: Compare, comparison: Comparison) -> None:
 def _part(jobs: Sequence[Job], asked: Compare) -> Sequence[Job]:
     """Return the runs that a command is about."""
     return part_of(jobs, asked.only) if asked.only else jobs
-
-
-def _sizes(jobs: Sequence[Job], elsewhere: bool) -> dict[Job, int]:
-    """Return how many decisions the robots of each run take together, if all can be run.
-
-    Raises:
-        ValueError: One cannot; the message names its variant.
-    """
-    steps = {}
-    for job in {job.variant: job for job in jobs}.values():
-        try:
-            experiment = Experiment.from_json(job.content)
-            experiment.check(elsewhere=elsewhere)
-        except (ValueError, gym.error.Error) as error:
-            raise ValueError(f"variant {job.variant}: {error}") from None
-        steps[job.variant] = experiment.steps
-    for job in jobs:
-        job.check()
-    return {job: steps[job.variant] * len(job.seeds) for job in jobs}
 
 
 def _answer(asked: Compare, comparison: Comparison) -> None:

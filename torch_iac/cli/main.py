@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
-from torch_iac.cli.exits import leave
+from torch_iac.cli.exits import leave, one_line
 from torch_iac.cli.typos import check_command, check_options
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def _options(words: Sequence[str]) -> "Train | Options":
         from torch_iac.cli.commands import parse
 
         return parse(words)
-    except ValueError as error:
-        leave(2, " ".join(str(error).split()))
+    except (ValueError, OSError) as error:  # OSError: a file of --config
+        leave(2, one_line(error))
 
 
 @contextmanager

@@ -26,7 +26,9 @@ GROUPS = {
         *("shadows", "mp", "preset", "config"),
     ),
     "world": ("outcomes", "world_options", "hold", "sensor_bounds", "bounds_from"),
-    "recording": ("log_every", "recorded_rows", "recorded_agents", "checkpoint_every"),
+    "recording": (
+        *("log_every", "recorded_rows", "recorded_agents", "checkpoint_every", "test_every"),
+    ),
 }
 """The options of `Train`, as the help has them."""
 
@@ -99,6 +101,9 @@ class Train:
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
+    test_every: int = 0
+    """How many decisions lie between two generalisation tests in f2, in the toy rooms; 0 for none.
+    Their errors go into generalisation.parquet."""
     iac: IACConfig = field(default_factory=IACConfig)
     """The numbers of the algorithm, without shadows."""
 

@@ -38,11 +38,11 @@ RETRIES = 3
 SECONDS_TO_ANSWER = 10.0
 """How long a Ray cluster may take to answer at all."""
 
-Live = Callable[[Job], None]
+RunJob = Callable[[Job], None]
 """Begins a run, or goes on with it; raises `KeyboardInterrupt` once it was asked to stop and has
 saved itself."""
 
-Crew = Generator[list[Job], None, None]
+Ended = Generator[list[Job], None, None]
 """Yields, at least every `TICK`, the runs that have just ended, well or not."""
 
 log = logging.getLogger(__name__)
@@ -63,26 +63,26 @@ def run_experiment(job: Job) -> None:
         raise KeyboardInterrupt(str(stopped)) from None
 
 
-def carry_out(sizes: Mapping[Job, int], crew: Crew, stop: Callable[[], bool]) -> bool:
-    """Let a crew carry runs out, and show how far it is and how long it will still take.
+def carry_out(sizes: Mapping[Job, int], jobs_ended: Ended, stop: Callable[[], bool]) -> bool:
+    """Carry runs out, and show how far it is and how long it will still take.
 
     Args:
         sizes: How many decisions the robots of each run take together.
-        crew: `on_processes` or `on_ray` of these runs.
+        jobs_ended: `on_processes` or `on_ray` of these runs.
         stop: Asked every `TICK` whether to stop.
 
     Returns:
         Whether all runs have ended, well or not.
     """
-    with closing(_Progress(sizes)) as progress, closing(crew):
-        for ended in crew:
+    with closing(_Progress(sizes)) as progress, closing(jobs_ended):
+        for ended in jobs_ended:
             progress.tell(ended)
             if stop():
                 return False
     return True
 
 
-def on_processes(jobs: Sequence[Job], live: Live, n_processes: int) -> Crew:
+def on_processes(jobs: Sequence[Job], live: RunJob, n_processes: int) -> Ended:
     """Carry runs out in processes of this machine; one that dies takes only its own run with it.
 
     Args:
@@ -91,25 +91,25 @@ def on_processes(jobs: Sequence[Job], live: Live, n_processes: int) -> Crew:
         n_processes: How many go on at once.
     """
     waiting = deque(jobs)
-    crew = [_Worker(live) for _ in range(min(n_processes, len(jobs)))]
+    workers = [_Worker(live) for _ in range(min(n_processes, len(jobs)))]
     try:
-        while waiting or any(worker.job for worker in crew):
-            crew = [_Worker(live) if worker.is_dead else worker for worker in crew]
-            for worker in crew:
+        while waiting or any(worker.job for worker in workers):
+            workers = [_Worker(live) if worker.is_dead else worker for worker in workers]
+            for worker in workers:
                 if waiting and not worker.job:
                     worker.give(waiting.popleft())
-            busy = {worker.connection: worker for worker in crew if worker.job}
+            busy = {worker.connection: worker for worker in workers if worker.job}
             ready = wait(list(busy), TICK)
             yield [worker.take() for connection, worker in busy.items() if connection in ready]
     finally:
-        for worker in crew:
+        for worker in workers:
             worker.dismiss()
-        for worker in crew:
+        for worker in workers:
             worker.process.join(SECONDS_TO_SAVE)
             worker.process.kill()
 
 
-def on_ray(jobs: Sequence[Job], live: Live, address: str, gpus: float = 0.0) -> Crew:
+def on_ray(jobs: Sequence[Job], live: RunJob, address: str, gpus: float = 0.0) -> Ended:
     """Carry runs out on a Ray cluster, whose machines see the same folders; lost ones are retried.
 
     Args:
@@ -124,7 +124,7 @@ def on_ray(jobs: Sequence[Job], live: Live, address: str, gpus: float = 0.0) -> 
     return _tasks(_connect(address), jobs, live, gpus)
 
 
-def _tasks(ray: Any, jobs: Sequence[Job], live: Live, gpus: float) -> Crew:
+def _tasks(ray: Any, jobs: Sequence[Job], live: RunJob, gpus: float) -> Ended:
     """Hand the runs to Ray, and leave it in the end."""
     task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=RETRIES)(_ray_task)
     running = {task.remote(job, live): job for job in jobs}
@@ -141,7 +141,7 @@ def _tasks(ray: Any, jobs: Sequence[Job], live: Live, gpus: float) -> Crew:
         ray.shutdown()
 
 
-def run_job(job: Job, live: Live) -> None:
+def run_job(job: Job, live: RunJob) -> None:
     """Carry out one run, unless it is done; what it says goes to its log, also why it failed."""
     if job.state == "done":
         return
@@ -170,7 +170,7 @@ class _Worker:
         job: The present run, if there is one.
     """
 
-    def __init__(self, live: Live) -> None:
+    def __init__(self, live: RunJob) -> None:
         context = get_context("spawn")  # a fork would share locks of threads that it does not have
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, live), daemon=True)
@@ -208,7 +208,7 @@ class _Worker:
         return self.process.exitcode is not None
 
 
-def _work(connection: Connection, live: Live) -> None:
+def _work(connection: Connection, live: RunJob) -> None:
     """Carry out runs as they come, until end of input or a stop signal."""
     try:
         while True:
@@ -218,7 +218,7 @@ def _work(connection: Connection, live: Live) -> None:
         sys.exit(0)
 
 
-def _ray_task(job: Job, live: Live) -> None:
+def _ray_task(job: Job, live: RunJob) -> None:
     """Carry out a run as a task of Ray; one that was asked to stop ends so that Ray retries it."""
     try:
         run_job(job, live)

@@ -5,7 +5,7 @@ is a variant's experiment with some of the seeds.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shlex import join
@@ -306,13 +306,48 @@ def load_comparison(folder: Path | str) -> Comparison:
         raise ValueError(f"{path} cannot be read: {error}") from error
 
 
+def plan_comparison(
+    folder: Path,
+    variants: Sequence[Variant],
+    words: Sequence[str] = (),
+    *,
+    n_seeds: int | None = None,
+    seed: int | None = None,
+    block: int | None = None,
+) -> Comparison:
+    """Return the comparison that a folder holds, grown by what is asked for, or a new one.
+
+    Args:
+        folder: Its folder.
+        variants: As for `Comparison.grown`, as are all others.
+        words: Options for all.
+        n_seeds: How many robots of each variant.
+        seed: The seed of the first.
+        block: The population of one run.
+
+    Raises:
+        ValueError: Something is refused, or differs of which there are runs already.
+    """
+    folder = folder.absolute()  # where the workers are, another may be the present one
+    numbers = {"n_seeds": n_seeds, "seed": seed, "block": block}
+    if (folder / PLAN).exists():
+        return load_comparison(folder).grown(variants, words, **numbers)
+    given: dict[str, Any] = {name: number for name, number in numbers.items() if number is not None}
+    return Comparison(folder, tuple(variants), tuple(words), **given)
+
+
 def ended_runs(comparison: Comparison) -> dict[str, list[Run]]:
     """Return the runs of each variant that went to their end, by seed."""
-    runs: dict[str, list[Run]] = {variant.name: [] for variant in comparison.variants}
-    for job in comparison.jobs():
-        if job.state == "done":
-            runs[job.variant].append(load_run(job.folder))
-    return runs
+    jobs = comparison.jobs()
+    return {
+        variant.name: load_ended(job for job in jobs if job.variant == variant.name)
+        for variant in comparison.variants
+    }
+
+
+def load_ended(jobs: Iterable[Job]) -> list[Run]:
+    """Return those runs that went to their end."""
+    return [load_run(job.folder) for job in jobs if job.state == "done"]
 
 
 def part_of(jobs: Sequence[Job], part: str) -> list[Job]:

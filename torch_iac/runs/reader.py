@@ -4,7 +4,7 @@ Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regi
 points of a curve.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -304,6 +304,14 @@ class Run:
         """
         values: NDArray[Any] = self.table([name])[name].to_numpy()
         return values.reshape(-1, self.n_recorded)
+
+    def columns(self, names: Iterable[str]) -> NDArray[Any]:
+        """Return some columns of the recorded agents, shape `(T, A, columns)`; nulls are NaN.
+
+        Raises:
+            ValueError: There is no such column, or a part cannot be read.
+        """
+        return np.stack([self.column(name) for name in names], axis=-1)
 
     def family(self, agent: int = 0) -> pa.Table:
         """Return the regions of one agent; row `i` is region `i`.

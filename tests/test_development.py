@@ -2,16 +2,9 @@
 
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 
-import torch_iac_envs  # noqa: F401 - registers the worlds
-from torch_iac.agent import IAC
-from torch_iac.config import IACConfig
-from torch_iac.runs.reader import Run, load_run
-from torch_iac.runs.recorder import Recorder
-from torch_iac.space import SensorimotorSpace
-from torch_iac.training import train
+from torch_iac import Experiment, Run
 
 N_STEPS = 3_000
 SEEDS = range(4)
@@ -23,13 +16,7 @@ pytestmark = pytest.mark.xdist_group("development")  # the run is made once, not
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Four robots of 2004 in the kinematic room."""
     folder: Path = tmp_path_factory.mktemp("development") / "run"
-    env = gym.make_vec("torch_iac_envs/ToyRoomKinematic-v0", len(SEEDS))
-    space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
-    agent = IAC(space, IACConfig(), SEEDS)
-    with Recorder(folder, agent, env.metadata["zone_names"]) as recorder:
-        train(agent, env, N_STEPS, recorder)
-    env.close()
-    return load_run(folder)
+    return Experiment(world="kinematic", seeds=SEEDS, steps=N_STEPS).run(folder)
 
 
 def test_the_first_cut_is_on_the_sound_when_the_root_is_full(run: Run) -> None:
