@@ -47,7 +47,7 @@ OTHER_WORLDS = ["Pendulum-v1", "CartPole-v1", "Mars-v0", "mars:Sol-v1", "Pendulu
 
 OPTION = re.compile(
     r"(?<![\w-])--([a-z][\w.-]*)(?:, --no-[\w.-]+)? "
-    r"(INT|FLOAT|STR|\{None\}\|PATH|\[.*?\.\.\.\]\]|\{[^}]*\})?"
+    r"(INT|FLOAT|TEXT|PATH|\[\w+ \.\.\.\]|\{[^}]*\})?"
 )
 MOST_WORDS = 12
 MEMORY = 24 * 2**30
@@ -186,8 +186,7 @@ def options(parts: tuple[str, ...]) -> dict[str, str]:
     code, text, err = _typed(["train", *parts, "--help"])
     if code != 0:
         raise RuntimeError(f"help must be given, got {err}")
-    text = re.sub(r"[│╭╮╰╯─]", " ", text)
-    text = re.sub(r",\s+(?=[a-z_,]*\})", ",", re.sub(r"\s+", " ", text))
+    text = re.sub(r"\s+", " ", text)
     return {name: kind for name, kind in OPTION.findall(text) if name != "help"}
 
 
@@ -238,7 +237,7 @@ def _word(rng: random.Random, known: dict[str, str], share: float) -> Iterator[s
 
 def _value(rng: random.Random, kind: str, share: float) -> str:
     """Return a value for an option of a kind, such as `INT`; `share` of them are good."""
-    good = {"INT": WHOLE, "FLOAT": REAL, "STR": TEXT}.get(kind.strip("[ .]").split(" ")[0])
+    good = {"INT": WHOLE, "FLOAT": REAL, "TEXT": TEXT}.get(kind.strip("[ .]").split(" ")[0])
     good = good or _choices(kind)
     if rng.random() < share:
         return rng.choice(good)

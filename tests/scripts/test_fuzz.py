@@ -15,7 +15,7 @@ def test_random_commands_work_or_are_refused_in_one_sentence(is_lived: bool) -> 
 
 def test_the_options_that_are_tried_are_those_of_the_help() -> None:
     known = options(("--experts", "mlp", "--drive", "curriculum"))
-    assert known["experts.hidden"] == "[INT [INT ...]]"
+    assert known["experts.hidden"] == "[INT ...]"
     assert known["drive.stages.0.until"] == "INT"
-    assert known["world"] == "STR"
+    assert known["world"] == "TEXT"
     assert known["mp"] == ""
