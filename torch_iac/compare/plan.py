@@ -134,6 +134,7 @@ class Job:
 
     def fail(self, reason: str) -> None:
         """Note why it failed."""
+        self.folder.parent.mkdir(parents=True, exist_ok=True)  # it may have died before it began
         self._failure.write_text(" ".join(reason.split()) + "\n", encoding="utf-8")
 
     def begin(self) -> None:
