@@ -58,8 +58,9 @@ def test_parts_of_a_users_own_have_names() -> None:
     ("values", "sentence"),
     [
         ({"drive": "eror"}, "or module:Name, got eror; perhaps you meant error"),
-        ({"experts": "mpl"}, "experts must be knn, mlp or module:Name, got mpl"),
-        ({"drive": "tests.test_kinds:Hunger"}, "drive must have what Drive has, got tests.test"),
+        ({"experts": "mpl"}, "experts must be knn, mlp, hybrid or module:Name, got mpl"),
+        ({"drive": "tests.test_kinds:Hunger"}, "drive must have a method worth, got tests.test"),
+        ({"drive": "tests.test_kinds:Net"}, "drive must have a method worth, got tests.test"),
         ({"drive": iac.Error}, "drive must be made, as Error(), got the class"),
         ({"experts": iac.KNNExperts}, "experts must be made, as KNNExperts(), got the class"),
         ({"drive": Hunger()}, "drive must have what Drive has, got <"),

@@ -464,7 +464,11 @@ def load_experiment(path: Path | str) -> Experiment:
     path = Path(path)
     if path.is_dir():
         return experiment_of(load_run(path))
-    return _from_config(parse_json(path.read_bytes()), path)
+    try:
+        content = parse_json(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be read: {error}") from None
+    return _from_config(content, path)
 
 
 def load_agent(
@@ -500,17 +504,24 @@ def experiment_of(run: Run) -> Experiment:
     Raises:
         ValueError: It was recorded in a loop of somebody's own, or its experiment is refused.
     """
+    if "world" not in run.config:
+        raise ValueError(
+            f"{run.folder} must be the run of an experiment (torch-iac train, or Experiment.run), "
+            "got one that names no world"
+        )
+    if isinstance(run.config["world"], Mapping):
+        raise ValueError(
+            f"{run.folder} must be a run of this version to be made again, got one of an earlier "
+            "version, which can be read and drawn only"
+        )
     return _from_config(run.config, run.folder)
 
 
 def _from_config(content: Any, path: Path) -> Experiment:
     """Return the experiment in a `config.json`, which says more than that."""
     names = [CONFIG_KEY if f.name == "config" else f.name for f in fields(Experiment)]
-    if not isinstance(content, Mapping) or "world" not in content:
-        raise ValueError(
-            f"{path} must be the run of an experiment (torch-iac train, or Experiment.run), "
-            "got one that names no world"
-        )
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{path} must have fields by name, got {content!r:.80}")
     for name in content:
         if name not in (*names, *KEYS, BOUNDS, MADE_IN, COMMAND):
             raise ValueError(f"{path} must have fields among {', '.join(names)}, got {name}")

@@ -58,6 +58,9 @@ KINDS: dict[str, tuple[Mapping[str, type], type]] = {
 }
 """The parts that have a name: the library's own, and what any other must be."""
 
+METHODS = {"experts": "pool", "drive": "worth", "choice": "pick"}
+"""What each kind of part can do."""
+
 PARTS: dict[str, type] = {
     part.__name__: part
     for part in (
@@ -92,8 +95,11 @@ def named(kind: str, name: str) -> Any:
     make_importable(Path.cwd())
     found = import_object(name, kind)
     if kind == "experts" and not hasattr(found, "pool"):
-        is_factory = is_dataclass(found) and not issubclass(found, nn.Module)  # type: ignore[arg-type]
-        return NetworkExperts(module=_made(found, kind, name) if is_factory else found)
+        is_class = isinstance(found, type) and is_dataclass(found)
+        makes_factory = is_class and not issubclass(found, nn.Module)
+        return NetworkExperts(module=_made(found, kind, name) if makes_factory else found)
+    if not hasattr(found, METHODS[kind]):
+        raise ValueError(f"{kind} must have a method {METHODS[kind]}, got {name}, which has none")
     made = _made(found, kind, name)
     if not isinstance(made, protocol):
         raise ValueError(f"{kind} must have what {protocol.__name__} has, got {name}")

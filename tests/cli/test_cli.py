@@ -21,6 +21,7 @@ import torch
 from imageio_ffmpeg import count_frames_and_secs
 from PIL import Image, ImageSequence
 
+from tests.same_run import differences
 from torch_iac import (
     PRESETS,
     Error,
@@ -456,7 +457,7 @@ BAD_VALUES = [
         "--world kinematic --device abacus",
         "device must be one that this machine has, got abacus",
     ),
-    ("--experts oracle", "experts must be knn, mlp or module:Name, got oracle"),
+    ("--experts oracle", "experts must be knn, mlp, hybrid or module:Name, got oracle"),
     (
         "--choice greedi",
         "choice must be greedy, proportional, softmax or module:Name, got greedi; "
@@ -616,3 +617,54 @@ def test_ctrl_c_ends_the_installed_command_in_order(tmp_path: Path) -> None:
     assert words[1] == str(tmp_path / "a")
     assert "Traceback" not in err
     assert load_run(tmp_path / "a").n_decisions >= 2000
+
+
+# An experiment in a file.
+
+
+def test_a_run_is_made_again_with_changes(tmp_path: Path) -> None:
+    words = "--world kinematic --no-mp --max-examples 15 --window 5 --delay 5 --drive error"
+    experts = "--experts tests.cli.parts_of_a_user:Wide --experts.width 3"
+    first = typed(
+        "train", "--out", tmp_path / "a", "--steps", "20", *words.split(), *experts.split()
+    )
+    assert first.code == 0, first.err
+    file = tmp_path / "a" / "config.json"
+    again = typed("train", "--config", file, "--out", tmp_path / "b")
+    assert again.code == 0, again.err
+    assert differences(tmp_path / "b", tmp_path / "a") == []
+    changes = ["--experts.width", "4", "--seed", "7", "--steps", "2e1", "--drive", "random"]
+    changed = typed("train", "--config", file, "--out", tmp_path / "c", *changes)
+    assert changed.code == 0, changed.err
+    config = load_run(tmp_path / "c").config
+    assert config["seeds"] == [7]
+    assert config["iac"]["experts"]["module"]["width"] == 4
+    assert config["iac"]["drive"] == {"kind": "Random"}
+    assert (config["iac"]["meta"], config["iac"]["max_examples"]) == (None, 15)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("{", "cannot be read"),
+        ("[]", "must have fields by name, got []"),
+        ('{"stops": 3}', "must have fields among world, iac, seeds, steps"),
+        ('{"iac": {"drive": {"kind": "no.such:Drive"}}}', "must be importable, got no.such:Drive"),
+        ('{"seeds": [3, 5]}', "must follow each other, got (3, 5)"),
+        ('{"world": "Mars-v0"}', "Mars"),
+    ],
+)
+def test_a_file_that_is_none_is_refused(tmp_path: Path, content: str, sentence: str) -> None:
+    file = tmp_path / "experiment.json"
+    file.write_text(content)
+    answer = typed("train", "--config", file, "--out", tmp_path / "a")
+    assert (answer.code, answer.out) == (2, "")
+    assert sentence in answer.err
+    assert answer.err.count("\n") == 1
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    answer = typed("train", "--config", tmp_path / "none.json")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == f"torch-iac: {tmp_path}/none.json: No such file or directory\n"

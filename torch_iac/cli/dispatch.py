@@ -28,7 +28,8 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
         asked: What it was told.
         words: What the user typed after `torch-iac`.
     """
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("torch_iac").setLevel(logging.INFO)  # not what other libraries have to say
     try:
         if isinstance(asked, Train):
             train(asked, ["torch-iac", *words])

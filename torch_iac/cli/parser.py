@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 from docstring_parser import parse_from_object
 
 Options = TypeVar("Options")
+"""A dataclass whose fields are options."""
 
 POSITIONAL, REPEATED = "positional", "repeated"
 """Annotations of fields: one that is given without its name; one option for each of its values."""
@@ -97,7 +98,11 @@ class Parser(ArgumentParser):
         return {name: tuple(of) if isinstance(of, list) else of for name, of in values}
 
     def error(self, message: str) -> Any:
-        """Raise instead of ending the program."""
+        """Raise instead of ending the program.
+
+        Raises:
+            ValueError: Always.
+        """
         raise ValueError(f"{message} (see {self.prog} --help)")
 
 

@@ -65,8 +65,8 @@ def check_options(words: Sequence[str]) -> None:
     Raises:
         ValueError: There are such; the message says which were perhaps meant.
     """
-    if any(OWN.match(word) for word in words):
-        return  # parts of a user's own have options of their own
+    if any(OWN.match(word) or word.startswith("--config") for word in words):
+        return  # parts of a user's own have options of their own, also those in a file
     known = declared_names()
     unknown = list(_unknown(words, known)) if known else []
     if unknown:

@@ -106,6 +106,9 @@ class HybridPool(Stateful):
             examples: What the regions hold, the new ones last.
             rows: Shape `(A,)`, those of which `predict` was asked last.
             step: The number of the decision.
+
+        Raises:
+            RuntimeError: They were not asked to predict before.
         """
         if self._predicted is None or len(self._predicted) != len(rows):
             raise RuntimeError("experts must predict before they learn")

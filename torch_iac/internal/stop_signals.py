@@ -23,7 +23,11 @@ class Stop:
         return bool(self.signals)
 
     def receive(self, number: int, frame: object) -> None:
-        """Note a signal; the second does not wait for the decision to end."""
+        """Note a signal; the second does not wait for the decision to end.
+
+        Raises:
+            KeyboardInterrupt: It is the second.
+        """
         del frame
         if self.signals:
             raise KeyboardInterrupt
