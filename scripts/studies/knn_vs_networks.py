@@ -3,7 +3,8 @@
     python -m scripts.studies.knn_vs_networks
 
 Robots of the kinematic room that differ in their experts alone, paired by seed: nearest neighbours,
-the default networks and wider ones. Prints Markdown and draws how well they predict, over time.
+the default networks, wider ones, and both in each region. Prints Markdown and draws how well they
+predict, over time, and where those that have both use the network.
 Runs that are in the folder already, those of `scripts.studies.reproduce_paper` among them, are not
 run again.
 """
@@ -29,25 +30,35 @@ from scripts.studies.reproduce_paper import (
     runs_in,
     when_reached,
 )
-from torch_iac import MLPExperts, load_agent
+from torch_iac import HybridExperts, MLPExperts, load_agent
 from torch_iac.analysis.bootstrap import difference, mean
 from torch_iac.analysis.generalisation import F2
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save
 from torch_iac.experiment import experiment_of
 from torch_iac.runs.reader import Run
+from torch_iac.runs.schema import USED_NETWORK, WINDOW
+from torch_iac.runs.statistics import known_mean
 from torch_iac.runs.summary import SETTLING, count_regions
 
 KINDS = {
     "knn": VARIANTS["knn"],
     "mlp": VARIANTS["mlp"],
     "wide": robots(experts=MLPExperts(hidden=(64, 64))),
+    "hybrid": robots(experts=HybridExperts()),
 }
 LABELS = {
     "knn": "nearest neighbours",
     "mlp": "networks, 32 and 32",
     "wide": "networks, 64 and 64",
+    "hybrid": "both in each region",
 }
 REFERENCE = "knn"
+
+N_SPANS = 5
+"""Into how many spans of time the table of shares divides a run."""
+
+LINES = ("-", "--", ":")
+"""How the zones' lines are drawn, so that they can be told apart in grey."""
 
 N_TIMED = 100
 """How many more decisions are timed at the end of a run."""
@@ -91,7 +102,9 @@ def main(study: Study) -> None:
     runs = runs_in("kinematic", KINDS, study.seeds, study)
     print_differences(runs)
     print_costs(runs)
+    print_network_shares(runs["hybrid"])
     save(draw(runs), study.out / "knn_vs_networks.png")
+    save(draw_network_shares(runs["hybrid"]), study.out / "network_share.png")
 
 
 def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
@@ -151,6 +164,47 @@ def costs(run: Run) -> tuple[float, float]:
     return seconds / (N_TIMED * run.n_agents), n_bytes / run.n_agents
 
 
+def network_shares(runs: Sequence[Run]) -> Values:
+    """Return in which share of its decisions each robot used the network, shape `(A, W, Z)`.
+
+    By windows of `WINDOW` decisions and zones; NaN where there was no decision.
+    """
+    shares = [run.window_sums.means(USED_NETWORK).swapaxes(0, 1) for run in runs]
+    return np.concatenate(shares)
+
+
+def print_network_shares(runs: Sequence[Run]) -> None:
+    """Print where and when robots that have both use the network, the mean over robots."""
+    shares, zones = network_shares(runs), runs[0].zone_names
+    n_windows = shares.shape[1]
+    print(f"\n| decisions | {' | '.join(zones)} |\n|---{'|---' * len(zones)}|")
+    for first in range(0, n_windows, max(1, n_windows // N_SPANS)):
+        last = min(first + max(1, n_windows // N_SPANS), n_windows)
+        with np.errstate(invalid="ignore"):
+            by_robot = known_mean(shares[:, first:last], axis=1)
+        cells = []
+        for of_zone in by_robot.T:
+            found = mean(of_zone[np.isfinite(of_zone)])
+            cells.append(f"{found.value:.0%} ({found.low:.0%} to {found.high:.0%})")
+        span = f"{first * WINDOW:,} to {last * WINDOW:,}"
+        print(f"| {span} | {' | '.join(cells)} |")
+
+
+def draw_network_shares(runs: Sequence[Run]) -> Figure:
+    """Return the share of decisions for which the network was used, by zone, over time."""
+    shares = known_mean(network_shares(runs), axis=0)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(4.2, 2.7), layout="constrained")
+        panel = figure.subplots()
+        steps = (np.arange(len(shares)) + 1) * WINDOW
+        for zone, (name, line) in enumerate(zip(runs[0].zone_names, LINES, strict=False)):
+            panel.plot(steps, shares[:, zone], line, color=COLOURS[zone], label=name)
+            panel.annotate(f" {name}", (steps[-1], shares[-1, zone]), fontsize=8)
+        panel.axhline(0.5, color="0.8", linewidth=0.8, zorder=0)
+        panel.set(xlabel="Decision", ylabel="Share of decisions with the network", ylim=(0, 1))
+    return figure
+
+
 def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
     """Return how the errors of each kind go on both test sets."""
     with mpl.rc_context(STYLE):
@@ -162,7 +216,7 @@ def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
             draw_curves(panel, curves, which)
             panel.set_title(title, fontsize=8)
         panels[0].set_ylabel("Mean error in f2 (scaled)")
-        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=3)
+        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=4)
     return figure
 
 
