@@ -148,7 +148,7 @@ def test_of_a_large_population_the_first_agents_are_recorded_and_windows_of_all(
         np.testing.assert_allclose(few.window_sums.sums[name], sums, rtol=1e-12, err_msg=name)
 
 
-def test_windows_are_tallies_of_the_steps(tmp_path: Path) -> None:
+def test_windows_sum_up_the_steps(tmp_path: Path) -> None:
     """Whatever parts and logs they were written in."""
     folder = write_run(tmp_path, 3, 700, rows_per_part=3 * 70, log_every=90, shadows={"knn": 2.0})
     run = load_run(folder)

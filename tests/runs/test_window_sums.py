@@ -4,44 +4,44 @@ import numpy as np
 import pytest
 import torch
 
-from torch_iac.runs.schema import tally_columns
-from torch_iac.runs.window_sums import RunningTally
+from torch_iac.runs.schema import sum_columns
+from torch_iac.runs.window_sums import RunningSums
 
 
 def test_decisions_are_counted_and_summed_up_where_each_agent_was() -> None:
-    running = RunningTally(2, 3, ["error"])
+    running = RunningSums(2, 3, ["error"])
     running.add(torch.tensor([0, 2]), [torch.tensor([1.0, 2.0])])
     running.add(torch.tensor([0, 1]), [torch.tensor([3.0, 4.0])])
-    tally = running.take()
-    assert tally.counts.tolist() == [[2, 0, 0], [0, 1, 1]]
-    assert tally.sums["error"].tolist() == [[4.0, 0.0, 0.0], [0.0, 4.0, 2.0]]
+    sums = running.drain()
+    assert sums.counts.tolist() == [[2, 0, 0], [0, 1, 1]]
+    assert sums.sums["error"].tolist() == [[4.0, 0.0, 0.0], [0.0, 4.0, 2.0]]
     assert np.array_equal(
-        tally.means("error"), [[2, np.nan, np.nan], [np.nan, 4, 2]], equal_nan=True
+        sums.means("error"), [[2, np.nan, np.nan], [np.nan, 4, 2]], equal_nan=True
     )
 
 
 def test_what_was_taken_does_not_change_any_more_and_is_not_taken_again() -> None:
-    running = RunningTally(1, 2, ["error"])
+    running = RunningSums(1, 2, ["error"])
     running.add(torch.tensor([1]), [torch.tensor([1.0])])
-    first = running.take()
+    first = running.drain()
     running.add(torch.tensor([0]), [torch.tensor([5.0])])
     assert first.sums["error"].tolist() == [[0.0, 1.0]]
-    assert running.take().sums["error"].tolist() == [[5.0, 0.0]]
+    assert running.drain().sums["error"].tolist() == [[5.0, 0.0]]
 
 
 def test_without_zones_one_stands_for_all() -> None:
-    running = RunningTally(2, 0, ["error"])
+    running = RunningSums(2, 0, ["error"])
     running.add(None, [torch.tensor([1.0, 2.0])])
-    assert running.take().counts.tolist() == [[1], [1]]
-    assert tally_columns(["error"], []) == [["decisions"], ["error_sum"]]
+    assert running.drain().counts.tolist() == [[1], [1]]
+    assert sum_columns(["error"], []) == [["decisions"], ["error_sum"]]
 
 
-def test_tallies_add_up() -> None:
-    running = RunningTally(1, 2, ["error"])
+def test_sums_add_up() -> None:
+    running = RunningSums(1, 2, ["error"])
     parts = []
     for zone, error in ((0, 1.0), (1, 2.0), (1, 4.0)):
         running.add(torch.tensor([zone]), [torch.tensor([error])])
-        parts.append(running.take())
+        parts.append(running.drain())
     both = parts[0] + parts[1] + parts[2]
     assert both.counts.tolist() == [[1, 2]]
     assert both.means("error").tolist() == [[1.0, 3.0]]
@@ -49,7 +49,7 @@ def test_tallies_add_up() -> None:
 
 
 def test_columns_are_named_zone_by_zone() -> None:
-    assert tally_columns(["error"], ["f1", "f2"]) == [
+    assert sum_columns(["error"], ["f1", "f2"]) == [
         ["decisions/f1", "decisions/f2"],
         ["error_sum/f1", "error_sum/f2"],
     ]

@@ -15,10 +15,10 @@ from torch_iac.compare.plan import (
     Comparison,
     Job,
     Variant,
+    count_states,
     load_comparison,
     part_of,
     plan_comparison,
-    tally_states,
 )
 from torch_iac.experiment import Experiment
 from torch_iac.internal.files import parse_json
@@ -151,7 +151,7 @@ def _answer(asked: Compare, comparison: Comparison) -> None:
     from torch_iac.compare.report import save_report  # with scipy and matplotlib
 
     mine = _part(comparison.jobs(), asked)
-    lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {tally_states(mine)}."]
+    lines = [f"{len(mine)} run{'s' if len(mine) != 1 else ''}: {count_states(mine)}."]
     if asked.only is None and any(job.state == "done" for job in mine):
         lines.append(f"Read {save_report(comparison)}, or: tensorboard --logdir {asked.folder}")
     print("\n".join(lines))  # noqa: T201 - the command's answer

@@ -17,9 +17,9 @@ from torch_iac.compare.plan import (
     Comparison,
     Job,
     Variant,
+    count_states,
     load_ended,
     plan_comparison,
-    tally_states,
 )
 from torch_iac.experiment import Experiment
 from torch_iac.internal.stop_signals import stopping
@@ -71,7 +71,7 @@ def run_variants(
             comparison, jobs, partial(on_processes, live=make, n_processes=processes), stop
         )
     if not is_over:
-        raise KeyboardInterrupt(f"stopped, {tally_states(jobs)}; the same again goes on")
+        raise KeyboardInterrupt(f"stopped, {count_states(jobs)}; the same again goes on")
     failed = [f"{job.name} failed: {job.reason}" for job in jobs if job.state == "failed"]
     if failed:
         raise RuntimeError("; ".join(failed))

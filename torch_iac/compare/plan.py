@@ -363,7 +363,7 @@ def part_of(jobs: Sequence[Job], part: str) -> list[Job]:
     return list(jobs[int(found[1]) - 1 :: int(found[2])])
 
 
-def tally_states(jobs: Sequence[Job]) -> str:
+def count_states(jobs: Sequence[Job]) -> str:
     """Return in words how many runs are how far."""
     words = {"done": "done", "failed": "failed", "begun": "half done", "open": "not begun"}
     states = [job.state for job in jobs]

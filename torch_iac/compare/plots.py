@@ -20,7 +20,7 @@ from torch_iac.analysis.bootstrap import Estimate, band
 from torch_iac.analysis.style import COLOURS, LINES, PANELS_A_ROW, STYLE, time_axis
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
-from torch_iac.runs.statistics import known_mean, tally
+from torch_iac.runs.statistics import known_mean, summed_up
 
 EVERYWHERE = "everywhere"
 """What all zones together are called."""
@@ -53,7 +53,7 @@ class Curves:
     def of(cls, runs: Sequence[Run]) -> Self:
         """Return the curves of runs of one variant, as far as all of them go."""
         window = min(WINDOW, *(run.n_decisions for run in runs))
-        kept = [tally(run, "error", window) for run in runs]
+        kept = [summed_up(run, "error", window) for run in runs]
         n_windows = min(len(of.counts) for of in kept)
         kept = [of[:n_windows] for of in kept]
         n_zones = len(runs[0].zone_names)

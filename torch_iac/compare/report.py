@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from torch_iac.analysis.bootstrap import Estimate
 from torch_iac.analysis.style import save
 from torch_iac.compare.hparams import differing_settings, write_experiment, write_session
-from torch_iac.compare.plan import FIGURES, Comparison, ended_runs, tally_states
+from torch_iac.compare.plan import FIGURES, Comparison, count_states, ended_runs
 from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
 from torch_iac.compare.results import (
     Difference,
@@ -26,8 +26,8 @@ from torch_iac.compare.results import (
 from torch_iac.internal.files import replace, write_table
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
-from torch_iac.runs.statistics import tally
-from torch_iac.runs.window_sums import Tally
+from torch_iac.runs.statistics import summed_up
+from torch_iac.runs.window_sums import WindowSums
 
 REPORT = "report.md"
 MEASURES = "measures.parquet"
@@ -160,7 +160,7 @@ def _what_was_compared(comparison: Comparison) -> str:
     ]
     jobs = comparison.jobs()
     for variant in comparison.variants:
-        states = tally_states([job for job in jobs if job.variant == variant.name])
+        states = count_states([job for job in jobs if job.variant == variant.name])
         lines.append(f"| {variant.name} | {_code(variant.words)} | {states} |")
     return "\n".join(lines)
 
@@ -217,7 +217,7 @@ def _not_done(comparison: Comparison) -> list[str]:
                 f"- {job.name} failed: {job.reason} (`{job.log.relative_to(comparison.folder)}`)"
             )
         elif job.state != "done":
-            lines.append(f"- {job.name}: {tally_states([job]).removeprefix('1 ')}")
+            lines.append(f"- {job.name}: {count_states([job]).removeprefix('1 ')}")
     return ["## Not done", "\n".join(lines)] if lines else []
 
 
@@ -257,16 +257,16 @@ def _curve_rows(runs: Mapping[str, Sequence[Run]]) -> Iterable[Row]:
     for variant, of in runs.items():
         for run in of:
             window = min(WINDOW, run.n_decisions)
-            kept = tally(run, "error", window)
+            kept = summed_up(run, "error", window)
             yield from _cells(variant, run, kept.total(2), [None], window)
             if run.zone_names:
                 yield from _cells(variant, run, kept, run.zone_names, window)
 
 
 def _cells(
-    variant: str, run: Run, kept: Tally, zones: Sequence[str | None], window: int
+    variant: str, run: Run, kept: WindowSums, zones: Sequence[str | None], window: int
 ) -> Iterable[Row]:
-    """Return a row for each window, robot and zone of a tally."""
+    """Return a row for each window, robot and zone of some sums."""
     means = kept.means("error")
     for at, agent, place in np.ndindex(*means.shape):
         yield {

@@ -28,10 +28,10 @@ from torch_iac.runs.schema import (
     WINDOWS,
     part_path,
     shadow_error,
-    tallied_fields,
-    tally_columns,
+    sum_columns,
+    summed_fields,
 )
-from torch_iac.runs.window_sums import Tally
+from torch_iac.runs.window_sums import WindowSums
 from torch_iac.space import SensorimotorSpace
 
 ERROR_WINDOW, DELAY = 150, 150
@@ -237,7 +237,7 @@ class Run:
         return grouped.set_column(keys.index("zone"), "zone", zones)
 
     @cached_property
-    def window_sums(self) -> Tally:
+    def window_sums(self) -> WindowSums:
         """What every agent did, recorded or not, in each `WINDOW` decisions; shape `(W, A, Z)`.
 
         The last window has fewer decisions if the run does not end with it.
@@ -258,9 +258,9 @@ class Run:
             np.add.at(total, numbers, blocks)
             return total
 
-        fields = tallied_fields(self.shadow_names, self.is_hybrid)
-        counts, *sums = map(by_window, tally_columns(fields, self.zone_names))
-        return Tally(counts, dict(zip(fields, sums, strict=True)))
+        fields = summed_fields(self.shadow_names, self.is_hybrid)
+        counts, *sums = map(by_window, sum_columns(fields, self.zone_names))
+        return WindowSums(counts, dict(zip(fields, sums, strict=True)))
 
     def parts(self, kind: str = STEPS) -> list[Path]:
         """Return the files that hold the decisions, or the `WINDOWS`, in order.

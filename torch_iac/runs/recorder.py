@@ -1,6 +1,6 @@
 """Writes a run folder: its decisions, its windows, its regions, TensorBoard, a summary.
 
-Of every agent, each window of decisions is kept as a tally; of a large population, only the first
+Of every agent, each window of decisions is summed up; of a large population, only the first
 agents' decisions one by one.
 
 Every file is written under a temporary name, fsynced and renamed, so whatever has its final name is
@@ -40,12 +40,12 @@ from torch_iac.runs.schema import (
     WINDOWS,
     part_path,
     region_table,
-    tallied_fields,
-    tally_columns,
+    sum_columns,
+    summed_fields,
 )
 from torch_iac.runs.summary import summarise
 from torch_iac.runs.tensorboard import Dashboard
-from torch_iac.runs.window_sums import RunningTally, Tally
+from torch_iac.runs.window_sums import RunningSums, WindowSums
 from torch_iac.space import SensorimotorSpace
 
 LOGS_PER_DOUBLING = 500
@@ -172,9 +172,9 @@ class Recorder:
             zone_names is not None,
             is_hybrid,
         )
-        self._tallied = tallied_fields(shadows, is_hybrid)
-        self._tally = RunningTally(n_agents, len(self._zone_names), self._tallied)
-        self._windows: dict[int, Tally] = {}  # not yet on disk, by their first decision
+        self._summed = summed_fields(shadows, is_hybrid)
+        self._sums = RunningSums(n_agents, len(self._zone_names), self._summed)
+        self._windows: dict[int, WindowSums] = {}  # not yet on disk, by their first decision
         self._first_decision = -1  # from which windows are counted
         self._n_parts = self._n_told = 0
         self._dashboard = Dashboard(
@@ -190,7 +190,7 @@ class Recorder:
             "first_decision": self._first_decision,
             "seconds": time.perf_counter() - self._started,
             "rows": self._rows.state(),
-            "tally": self._tally.state(),
+            "sums": self._sums.state(),
             "windows": [[start, of.counts, of.sums] for start, of in self._windows.items()],
             "dashboard": self._dashboard.state(),
         }
@@ -208,8 +208,8 @@ class Recorder:
             self._first_decision = state["first_decision"]
             self._started -= state["seconds"]
             self._rows.load_state(state["rows"])
-            self._tally.load_state(state["tally"])
-            self._windows = {start: Tally(*of) for start, *of in state["windows"]}
+            self._sums.load_state(state["sums"])
+            self._windows = {start: WindowSums(*of) for start, *of in state["windows"]}
 
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
         """Keep one decision of every agent.
@@ -225,7 +225,7 @@ class Recorder:
         if (zones is not None) != self._rows.has_zones:
             raise ValueError("record needs zones if, and only if, the recorder has zone_names")
         on_device = None if zones is None else torch.as_tensor(zones, device=step.errors.device)
-        self._tally.add(on_device, _tallied_values(step))  # which refuses a zone that is none
+        self._sums.add(on_device, _summed_values(step))  # which refuses a zone that is none
         self._rows.add(step, on_device)
         if self._first_decision < 0:
             self._first_decision = step.number
@@ -267,30 +267,30 @@ class Recorder:
             _write_json(self.folder / SUMMARY, measures)
 
     def _settle(self) -> None:
-        """Add what was tallied since the last time, all in one window, to that window."""
+        """Add what was summed up since the last time, all in one window, to that window."""
         if self._n_told == self._rows.count:
             return
         last = self._rows.last_decision
         start = last - (last - self._first_decision) % WINDOW
-        taken, known = self._tally.take(), self._windows.get(start)
+        taken, known = self._sums.drain(), self._windows.get(start)
         self._windows[start] = taken if known is None else known + taken
-        self._dashboard.tally(taken, self._rows.since(self._n_told))
+        self._dashboard.add(taken, self._rows.since(self._n_told))
         self._n_told = self._rows.count
 
     def _window_table(self) -> pa.Table:
         """Return the rows of the windows that are kept, by window, then agent."""
         n_agents, n_windows = len(self._seeds), len(self._windows)
-        tallies = list(self._windows.values())
+        all_sums = list(self._windows.values())
         blocks = [
-            np.concatenate([tally.counts for tally in tallies]),
-            *(np.concatenate([tally.sums[name] for tally in tallies]) for name in self._tallied),
+            np.concatenate([sums.counts for sums in all_sums]),
+            *(np.concatenate([sums.sums[name] for sums in all_sums]) for name in self._summed),
         ]
         columns = {
             "step": np.repeat(np.array(list(self._windows), np.int64), n_agents),
             "agent": np.tile(np.arange(n_agents, dtype=np.int32), n_windows),
             "seed": np.tile(self._seeds, n_windows),
         }
-        names = tally_columns(self._tallied, self._zone_names)
+        names = sum_columns(self._summed, self._zone_names)
         for block, of_block in zip(blocks, names, strict=True):
             columns |= dict(zip(of_block, block.T, strict=True))
         return pa.table({name: pa.array(c, from_pandas=True) for name, c in columns.items()})
@@ -339,8 +339,8 @@ def write_config(folder: Path, config: Mapping[str, Any]) -> None:
     _write_json(folder / CONFIG, config)
 
 
-def _tallied_values(step: Step) -> list[Tensor]:
-    """Return what windows sum up, in the order of `tallied_fields`."""
+def _summed_values(step: Step) -> list[Tensor]:
+    """Return what windows sum up, in the order of `summed_fields`."""
     expected = step.expected_errors
     unknown = torch.full_like(step.errors, torch.nan) if expected is None else expected
     values = [step.errors, unknown, step.progress, *(shadow.errors for shadow in step.shadows)]

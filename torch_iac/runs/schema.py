@@ -105,13 +105,13 @@ def shadow_error(name: str) -> str:
     return f"shadow/{name}/error"
 
 
-def tallied_fields(shadows: Sequence[str], is_hybrid: bool = False) -> list[str]:
+def summed_fields(shadows: Sequence[str], is_hybrid: bool = False) -> list[str]:
     """Return the columns of the steps that windows sum up."""
     fields = ["error", "expected_error", "progress", *map(shadow_error, shadows)]
     return [*fields, USED_NETWORK] if is_hybrid else fields
 
 
-def tally_columns(columns: Sequence[str], zone_names: Sequence[str]) -> list[list[str]]:
+def sum_columns(columns: Sequence[str], zone_names: Sequence[str]) -> list[list[str]]:
     """Return how a file calls the counts, then the sums of each column, zone by zone.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
-from torch_iac.runs.window_sums import Tally
+from torch_iac.runs.window_sums import WindowSums
 
 CALIBRATED = 5000
 """How many first decisions MP's calibration leaves out; half of a run shorter than twice that. It
@@ -104,7 +104,7 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
     """
     if not run.zone_names:
         raise ValueError(f"the world of {run.folder} has no zones, so it has no shares of them")
-    return np.asarray(tally(run, "error", window).counts / window)
+    return np.asarray(summed_up(run, "error", window).counts / window)
 
 
 def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArray[np.float64]:
@@ -122,10 +122,10 @@ def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArra
     Raises:
         ValueError: The window is none that was kept.
     """
-    return tally(run, column, window).means(column)
+    return summed_up(run, column, window).means(column)
 
 
-def tally(run: Run, column: str, window: int = WINDOW) -> Tally:
+def summed_up(run: Run, column: str, window: int = WINDOW) -> WindowSums:
     """Return what every agent did in each full window of decisions, shape `(W, A, Z)`.
 
     Args:
@@ -144,7 +144,9 @@ def tally(run: Run, column: str, window: int = WINDOW) -> Tally:
             shape = (n_windows, n_kept, *values.shape[1:])
             return np.asarray(values[: n_windows * n_kept].reshape(shape).sum(axis=1))
 
-        return Tally(joined(run.window_sums.counts), {column: joined(run.window_sums.sums[column])})
+        return WindowSums(
+            joined(run.window_sums.counts), {column: joined(run.window_sums.sums[column])}
+        )
     if run.n_recorded < run.n_agents:
         raise ValueError(
             f"window must be a multiple of {WINDOW} where the steps of {run.n_recorded} of "
@@ -157,7 +159,7 @@ def tally(run: Run, column: str, window: int = WINDOW) -> Tally:
     here = [zones == zone for zone in range(max(1, len(run.zone_names)))]
     counts = np.stack([of.sum(axis=1) for of in here], axis=-1)
     sums = np.stack([np.sum(values, axis=1, where=of, dtype=np.float64) for of in here], axis=-1)
-    return Tally(counts, {column: sums})
+    return WindowSums(counts, {column: sums})
 
 
 def by_decile(

@@ -21,12 +21,12 @@ from torch.utils.tensorboard.summary import custom_scalars
 from torch_iac.records import Genealogy, RegionSummary
 from torch_iac.runs.schema import EVENTS, USED_NETWORK, shadow_error
 from torch_iac.runs.tensorboard_images import CalibrationChart, ProgressMap, histogram_of
-from torch_iac.runs.window_sums import Tally
+from torch_iac.runs.window_sums import WindowSums
 
 N_REGIONS_SHOWN = 200
 """TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
 
-TALLY_TAGS = {
+MEAN_TAGS = {
     "progress": "progress/mean",
     "error": "error/mean",
     "expected_error": "error/expected",
@@ -78,8 +78,8 @@ class Dashboard:
         self, folder: Path, n_agents: int, zone_names: Sequence[str], shadows: Sequence[str] = ()
     ) -> None:
         self._n_agents, self._zone_names = n_agents, zone_names
-        self._tags = TALLY_TAGS | {shadow_error(name): f"error/{name}" for name in shadows}
-        self._tally: Tally | None = None  # since the last log
+        self._tags = MEAN_TAGS | {shadow_error(name): f"error/{name}" for name in shadows}
+        self._sums: WindowSums | None = None  # since the last log
         self._calibration = CalibrationChart()
         self._map = ProgressMap()
         self._n_logs = 0
@@ -89,14 +89,14 @@ class Dashboard:
         layout = custom_scalars(_layout(zone_names))  # type: ignore[no-untyped-call]
         self._writer.add_summary(layout)
 
-    def tally(self, tally: Tally, columns: Mapping[str, NDArray[Any]]) -> None:
+    def add(self, sums: WindowSums, columns: Mapping[str, NDArray[Any]]) -> None:
         """Count in some decisions.
 
         Args:
-            tally: What all agents did, shape `(A, Z)`.
+            sums: What all agents did, shape `(A, Z)`.
             columns: `errors` and `expected_errors` of some agents, each of shape `(T, A)`.
         """
-        self._tally = tally if self._tally is None else self._tally + tally
+        self._sums = sums if self._sums is None else self._sums + sums
         self._calibration.add(columns)
 
     def log(
@@ -110,8 +110,8 @@ class Dashboard:
             genealogy: Gives every region ever made; asked only when a picture is due.
         """
         own = regions.agent.numpy() == 0
-        scalars = {} if self._tally is None else _means(self._tally, self._tags, self._zone_names)
-        self._tally = None
+        scalars = {} if self._sums is None else _means(self._sums, self._tags, self._zone_names)
+        self._sums = None
         scalars |= _over_agents(regions, self._n_agents)
         scalars |= _top(regions.progress.numpy()[own]) | _by_region(regions, own)
         values = [self._value(tag, simple_value=value) for tag, value in scalars.items()]
@@ -133,9 +133,9 @@ class Dashboard:
     def state(self) -> dict[str, Any]:
         """Return all that goes on, and how far the files on disk go."""
         self.flush()
-        tally = self._tally
+        sums = self._sums
         return {
-            "tally": None if tally is None else [tally.counts, tally.sums],
+            "sums": None if sums is None else [sums.counts, sums.sums],
             "calibration": self._calibration.state(),
             "map": self._map.state(),
             "n_logs": self._n_logs,
@@ -159,7 +159,7 @@ class Dashboard:
             restart = SessionLog(status=SessionLog.START)
             self._writer.add_event(Event(session_log=restart), step=n_decisions + 1)
         if state:
-            self._tally = Tally(*state["tally"]) if state["tally"] else None
+            self._sums = WindowSums(*state["sums"]) if state["sums"] else None
             self._calibration.load_state(state["calibration"])
             self._map.load_state(state["map"])
             self._n_logs = state["n_logs"]
@@ -195,11 +195,13 @@ def _descriptions(zone_names: Sequence[str], shadows: Sequence[str]) -> dict[str
     return texts
 
 
-def _means(tally: Tally, tags: Mapping[str, str], zone_names: Sequence[str]) -> dict[str, float]:
+def _means(
+    sums: WindowSums, tags: Mapping[str, str], zone_names: Sequence[str]
+) -> dict[str, float]:
     """Return the means over agents, as far as there are any, and the share of each zone."""
-    zones = tally.total(0)
+    zones = sums.total(0)
     whole = zones.total(1)
-    means = {tag: whole.means(of).item() for of, tag in tags.items() if of in tally.sums}
+    means = {tag: whole.means(of).item() for of, tag in tags.items() if of in sums.sums}
     shares = (zones.counts / whole.counts)[0].tolist()
     by_zone = zip(zone_names, shares, strict=False)
     means |= {f"development/time_in_{name}": share for name, share in by_zone}

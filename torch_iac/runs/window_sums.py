@@ -1,4 +1,4 @@
-"""Tallies: how often agents were in each zone, and what came of it, summed up over decisions.
+"""Sums over windows: how often agents were in each zone, and the sums of what came of it.
 
 They are how little of a large population is kept of every agent. Shapes: `A` agents, `Z` zones, `F`
 columns that are summed up. In a world without zones, one zone stands for all.
@@ -14,7 +14,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
-class Tally:
+class WindowSums:
     """How many decisions agents took in each zone, and what came of them, summed up.
 
     Attributes:
@@ -26,19 +26,19 @@ class Tally:
     counts: NDArray[np.int64]
     sums: dict[str, NDArray[np.float64]]
 
-    def __add__(self, other: "Tally") -> "Tally":
+    def __add__(self, other: "WindowSums") -> "WindowSums":
         """Return both together."""
         sums = {name: mine + other.sums[name] for name, mine in self.sums.items()}
-        return Tally(self.counts + other.counts, sums)
+        return WindowSums(self.counts + other.counts, sums)
 
-    def __getitem__(self, windows: slice) -> "Tally":
+    def __getitem__(self, windows: slice) -> "WindowSums":
         """Return some windows, which are the first axis."""
-        return Tally(self.counts[windows], {name: s[windows] for name, s in self.sums.items()})
+        return WindowSums(self.counts[windows], {name: s[windows] for name, s in self.sums.items()})
 
-    def total(self, *axes: int) -> "Tally":
+    def total(self, *axes: int) -> "WindowSums":
         """Return what some axes make together; they stay, with a length of 1."""
         sums = {name: of.sum(axis=axes, keepdims=True) for name, of in self.sums.items()}
-        return Tally(self.counts.sum(axis=axes, keepdims=True), sums)
+        return WindowSums(self.counts.sum(axis=axes, keepdims=True), sums)
 
     def means(self, column: str) -> NDArray[np.float64]:
         """Return the mean of a column, shape `(..., A, Z)`; NaN in a zone without decisions."""
@@ -47,8 +47,8 @@ class Tally:
         return np.asarray(means)
 
 
-class RunningTally:
-    """A tally that grows decision by decision, on the device where decisions are made.
+class RunningSums:
+    """A sums that grows decision by decision, on the device where decisions are made.
 
     Nothing is copied from there before `take` is called.
 
@@ -84,10 +84,10 @@ class RunningTally:
         added = torch.stack([self._ones, *(of.double() for of in values)])
         self._sums.index_add_(1, cells, added)
 
-    def take(self) -> Tally:
+    def drain(self) -> WindowSums:
         """Return what was counted in since the last time, shape `(A, Z)`, and start anew."""
         counts, *sums = self._sums.numpy(force=True).reshape(len(self._sums), -1, self._n_zones)
-        taken = Tally(
+        taken = WindowSums(
             counts.astype(np.int64),
             {name: of.copy() for name, of in zip(self._columns, sums, strict=True)},
         )
