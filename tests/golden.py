@@ -35,7 +35,7 @@ from torch_iac.space import SensorimotorSpace
 FILE = Path(__file__).with_name("golden.json")
 SEEDS = (0, 1)
 STEPS = (300, 2_000)
-KNN, MLP = IACConfig(), IACConfig(experts=MLPExperts(), meta=MetaPredictor())
+KNN, MLP = IACConfig(meta=None), IACConfig(experts=MLPExperts(), meta=MetaPredictor())
 RUNS = {
     "knn_pybullet": ("torch_iac_envs/ToyRoom-v0", KNN),
     "knn_kinematic": ("torch_iac_envs/ToyRoomKinematic-v0", KNN),

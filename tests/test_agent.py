@@ -24,6 +24,7 @@ from torch_iac import (
     Experts,
     GlobalProgress,
     Greedy,
+    HybridExperts,
     IACConfig,
     Improvement,
     ImprovementPredictor,
@@ -195,7 +196,14 @@ def test_actions_of_others_keep_to_the_bounds(
         agent.observe(sensors)
 
 
-@pytest.mark.parametrize("experts", [KNNExperts(), MLPExperts(hidden=(8,), minibatches=1)])
+@pytest.mark.parametrize(
+    "experts",
+    [
+        KNNExperts(),
+        MLPExperts(hidden=(8,), minibatches=1),
+        HybridExperts(network=MLPExperts(hidden=(8,), minibatches=1)),
+    ],
+)
 def test_predictions_on_request_are_those_of_decisions(
     space: SensorimotorSpace, experts: Experts, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,6 +18,7 @@ from torch_iac import (
     Curriculum,
     Error,
     GlobalProgress,
+    HybridExperts,
     IACConfig,
     Improvement,
     ImprovementPredictor,
@@ -42,6 +43,7 @@ CONFIGS: list[dict[str, Any]] = [
     {"drive": Improvement(), "improvement": ImprovementPredictor(), "choice": Softmax()},
     {"drive": Novelty(), "shadows": {"mlp": MLPExperts()}},
     {"drive": Curriculum()},
+    {"experts": HybridExperts(), "shadows": {"hybrid": HybridExperts()}},
 ]
 
 

@@ -7,7 +7,15 @@ from typing import Any
 import pytest
 import torch
 
-from torch_iac import IAC, IACConfig, MetaPredictor, MLPExperts, SensorimotorSpace, memory_estimate
+from torch_iac import (
+    IAC,
+    HybridExperts,
+    IACConfig,
+    MetaPredictor,
+    MLPExperts,
+    SensorimotorSpace,
+    memory_estimate,
+)
 from torch_iac.memory_estimate import check_memory, check_world_memory, free_memory, memory_needed
 
 N_AGENTS, N_DECISIONS = 64, 300
@@ -16,6 +24,10 @@ CONFIGS = {
     "knn": KNN,
     "lopsided": replace(KNN, balance=0.0),
     "mlp": replace(KNN, experts=MLPExperts(hidden=(8,), minibatches=1)),
+    "hybrid": replace(
+        KNN,
+        experts=HybridExperts(network=MLPExperts(hidden=(8,), minibatches=1), recent=200),
+    ),
     "mp": replace(KNN, meta=MetaPredictor(memory=100, minibatch_size=8)),
     "shadow": replace(KNN, shadows={"mlp": MLPExperts(hidden=(16,), minibatches=1)}),
 }

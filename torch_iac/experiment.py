@@ -14,6 +14,7 @@ import torch
 from torch_iac.agent import IAC
 from torch_iac.analysis.generalisation import record_tests, sets_aside
 from torch_iac.config import IACConfig
+from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts
 from torch_iac.internal.devices import available_device
@@ -173,11 +174,11 @@ class Experiment:
     def is_exact(self) -> bool:
         """Whether the run is the same to the bit on every processor of one architecture.
 
-        So it is on the CPU in the toy rooms, with nearest neighbours and with multi-layer
-        perceptrons; a world or a network of a user's own may round otherwise.
+        So it is on the CPU in the toy rooms, with nearest neighbours, with multi-layer
+        perceptrons and with both; a world or a network of a user's own may round otherwise.
         """
         experts = (self.config.experts, *self.config.shadows.values())
-        known = all(type(of) in (KNNExperts, MLPExperts) for of in experts)
+        known = all(type(of) in (KNNExperts, MLPExperts, HybridExperts) for of in experts)
         return self.torch_device().type == "cpu" and self.world in WORLDS and known
 
     def torch_device(self) -> torch.device:

@@ -202,7 +202,12 @@ def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
         _network_bytes(_network(experts, situation_dim, outcome_dim))
         for experts in _learners(config)
     )
-    return examples + history + networks + NODE_BYTES
+    compared = sum(
+        8 * (2 * of.recent + 3)
+        for of in (config.experts, *config.shadows.values())
+        if isinstance(of, HybridExperts)
+    )
+    return examples + history + networks + compared + NODE_BYTES
 
 
 def _agent_bytes(config: IACConfig, situation_dim: int) -> int:

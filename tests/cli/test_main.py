@@ -168,7 +168,7 @@ def test_what_trains_needs_neither_scipy_nor_matplotlib() -> None:
 
 def test_every_public_name_is_there_and_listed() -> None:
     names = dir(torch_iac)
-    assert {"IAC", "IACConfig", "best_cut", "__version__"} <= set(names)
+    assert {"IAC", "IACConfig", "Experiment", "train", "__version__"} <= set(names)
     assert all(getattr(torch_iac, name) is not None for name in names)
     assert not hasattr(torch_iac, "Hunger")
 

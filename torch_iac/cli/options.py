@@ -52,8 +52,8 @@ class Train:
     arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
     Pendulum-v1 or module:id."""
     experts: str = "knn"
-    """What predicts in each region: knn, mlp, or module:Name, experts or a network of your own. Its
-    options are among those below."""
+    """What predicts in each region: knn, mlp, hybrid (both in each region), or module:Name, experts
+    or a network of your own. Its options are among those below."""
     drive: str = "progress"
     """What the robot wants: progress, meta_progress, absolute_progress, global_progress, error,
     novelty, improvement, curriculum, random, or module:Name, a drive of your own."""
