@@ -45,7 +45,7 @@ from torch_iac import (
 from torch_iac.regions.examples import Examples
 from torch_iac.regions.tree import Split
 
-SMALL = IACConfig(n_candidates=5, max_examples=20, window=8, delay=8)
+SMALL = IACConfig(n_candidates=5, max_examples=20, window=8, delay=8, meta=None)
 """Splits often, so that a short run shows much."""
 
 LEARNERS = replace(
@@ -564,7 +564,7 @@ def test_a_config_as_json_holds_every_number() -> None:
         "until": 1000,
     }
     assert written["choice"] == {"kind": "Softmax", "temperature": 0.5}
-    assert written["shadows"] == {"knn": {"kind": "Constant", "answer": 0.25}}
+    assert written["shadows"] == {"knn": {"kind": f"{__name__}:Constant", "answer": 0.25}}
     assert (written["window"], written["inherit_history"]) == (8, True)
     assert SMALL.to_json()["meta"] is None
 
@@ -573,8 +573,8 @@ def test_a_config_as_json_holds_every_number() -> None:
     ("factory", "written"),
     [
         (MLP((4, 5)), {"kind": "MLP", "hidden": [4, 5]}),
-        (Breaking, f"{__name__}.Breaking"),
-        (nn.Linear, "torch.nn.modules.linear.Linear"),
+        (Breaking, {"object": f"{__name__}:Breaking"}),
+        (nn.Linear, {"object": "torch.nn.modules.linear:Linear"}),
     ],
 )
 def test_a_users_module_is_written_by_its_name(factory: Any, written: Any) -> None:

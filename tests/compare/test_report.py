@@ -118,8 +118,8 @@ def test_tensorboard_finds_settings_and_measures(comparison: Comparison) -> None
     content = EventAccumulator(str(whole)).Reload().SummaryMetadata(EXPERIMENT_TAG)
     experiment = parse_experiment_plugin_data(content.plugin_data.content)
     names = [info.name for info in experiment.hparam_infos]
-    assert names == ["variant", "seed", "drive.kind", "drive.source", "window"]
-    assert list(experiment.hparam_infos[3].domain_discrete) == ["none", "region"]
+    assert names == ["variant", "seed", "drive.kind", "window", "drive.source"]
+    assert list(experiment.hparam_infos[4].domain_discrete) == ["none", "region"]
     tags = [info.name.tag for info in experiment.metric_infos]
     assert "measures/error" in tags
     run = comparison.folder / "narrow" / "seeds-000-002"

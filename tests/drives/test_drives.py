@@ -189,7 +189,7 @@ def test_a_config_refuses_a_drive_without_what_it_needs(drive: Drive) -> None:
     values = {name: part for name, part in on.items() if name in drive.needs}
     assert IACConfig(drive=drive, **values).drive == drive
     for name in values:
-        kept = {other: part for other, part in values.items() if other != name}
+        kept: dict[Any, Any] = {**values, name: None}
         message = f"{name} must be on for the drive {type(drive).__name__}, got None"
         with pytest.raises(ValueError, match=message):
             IACConfig(drive=drive, **kept)

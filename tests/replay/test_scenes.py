@@ -165,10 +165,12 @@ def test_a_record_that_does_not_come_out_is_refused(
 
 
 def test_a_world_that_cannot_be_saved_cannot_be_handed_over(run: Run) -> None:
-    class Closed(gym.vector.VectorWrapper):
+    class Closed(gym.vector.VectorEnv[Any, Any, Any]):
         """A world that hides its state."""
 
-        unwrapped = None  # type: ignore[assignment]
+        def __init__(self, world: gym.vector.VectorEnv[Any, Any, Any]) -> None:
+            self.reset, self.step = world.reset, world.step  # type: ignore[method-assign]
+            self.num_envs, self.metadata = world.num_envs, world.metadata
 
     world = Closed(gym.make_vec(KINEMATIC, 1))
     with pytest.raises(ValueError, match="a world must have get_state and set_state, or worlds"):

@@ -249,10 +249,10 @@ KINDS = "toyroom, kinematic or a world of Gymnasium such as Pendulum-v1"
             "--world kinematic --hold 2",
             "hold must be left to worlds that are single, got kinematic",
         ),
-        ("--hold 0", "hold must lie in [1, 1,000], got 0 (see torch-iac train --help)"),
+        ("--hold 0", "hold must lie in [1, 1,000], got 0"),
         (
             "--bounds-from 0",
-            "bounds_from must lie in [1, 1,000,000], got 0 (see torch-iac train --help)",
+            "bounds_from must lie in [1, 1,000,000], got 0",
         ),
     ],
 )
