@@ -9,10 +9,10 @@ from argparse import (
     HelpFormatter,
 )
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import Field, fields, is_dataclass, replace
+from dataclasses import Field, dataclass, fields, is_dataclass, replace
 from decimal import Decimal, InvalidOperation
 from difflib import get_close_matches
-from functools import partial
+from functools import cache, partial
 from inspect import cleandoc
 from pathlib import Path
 from types import NoneType, UnionType
@@ -53,6 +53,7 @@ class Parser(ArgumentParser):
             formatter_class=partial(HelpFormatter, max_help_position=28),
         )
         self._names = ["--help"]
+        self._options: list[tuple[Action, _Option]] = []
 
     def add_options(
         self,
@@ -72,8 +73,10 @@ class Parser(ArgumentParser):
             names: Which fields; all by default.
         """
         group = self.add_argument_group(title)
-        for name, hint, value, text in _options(defaults, prefix, names):
-            self._names += _add(group, name, hint, value, text)
+        for option in _options(defaults, prefix, names):
+            action = _add(group, option)
+            self._names += action.option_strings
+            self._options.append((action, option))
 
     def read(self, words: Sequence[str]) -> dict[str, Any]:
         """Return the values of all options by name, once; `--help` ends the program.
@@ -96,6 +99,12 @@ class Parser(ArgumentParser):
             self.error(f"Unrecognized options: {', '.join(map(typed.__getitem__, unknown))}{near}")
         values = vars(namespace).items()
         return {name: tuple(of) if isinstance(of, list) else of for name, of in values}
+
+    def format_help(self) -> str:
+        """Return the help. Docstrings are read only now: it takes some tenths of a second."""
+        for action, option in self._options:
+            action.help = option.help
+        return super().format_help()
 
     def error(self, message: str) -> Any:
         """Raise instead of ending the program.
@@ -197,11 +206,39 @@ READERS: dict[Any, tuple[str, Callable[[str], Any]]] = {
 """How the help shows a type, and how it is read."""
 
 
-def _options(
-    defaults: Any, prefix: str, names: Container[str] | None = None
-) -> Iterator[tuple[str, Any, Any, str]]:
-    """Yield the name, type, default value and help of each option of a dataclass."""
-    texts = _texts(type(defaults))
+@dataclass(frozen=True)
+class _Option:
+    """A field as an option.
+
+    Attributes:
+        name: How it is called, with underscores.
+        hint: Its type.
+        default: Its value if it is not given.
+        owner: The class that has the field.
+    """
+
+    name: str
+    hint: Any
+    default: Any
+    owner: type
+
+    @property
+    def help(self) -> str:
+        """What the field's docstring says, and the default."""
+        text = _texts(self.owner).get(self.name.rpartition(".")[2], "")
+        text = text.replace("\n", " ").replace("%", "%%")
+        if POSITIONAL in _marks(self.hint) or self.default is None or self.default == ():
+            return text
+        shown = str(self.default)
+        if isinstance(self.default, bool):
+            shown = "on" if self.default else "off"
+        elif isinstance(self.default, tuple):
+            shown = " ".join(map(str, self.default))
+        return f"{text} (default: {shown})"
+
+
+def _options(defaults: Any, prefix: str, names: Container[str] | None = None) -> Iterator[_Option]:
+    """Yield the options of a dataclass."""
     for field, hint in _fields(defaults):
         name, value = prefix + field.name, getattr(defaults, field.name)
         if names is not None and field.name not in names:
@@ -212,7 +249,7 @@ def _options(
             for i, part in enumerate(value):
                 yield from _options(part, f"{name}.{i}.")
         elif _reader(hint):
-            yield name, hint, value, texts.get(field.name, "")
+            yield _Option(name, hint, value, type(defaults))
 
 
 def _fields(defaults: Any) -> list[tuple[Field[Any], Any]]:
@@ -224,29 +261,28 @@ def _fields(defaults: Any) -> list[tuple[Field[Any], Any]]:
     return [(field, hints.get(field.name)) for field in fields(defaults) if field.init]
 
 
-def _add(group: Any, name: str, hint: Any, value: Any, text: str) -> Sequence[str]:
-    """Add an option to a group of a parser; return its names."""
-    is_switch, metavar, read, n_words = _reader(hint) or (False, "", str, None)
-    marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
-    text = text.replace("\n", " ").replace("%", "%%")
+def _add(group: Any, option: _Option) -> Action:
+    """Add an option to a group of a parser."""
+    is_switch, metavar, read, n_words = _reader(option.hint) or (False, "", str, None)
+    name, default, marks = option.name, option.default, _marks(option.hint)
+    given: dict[str, Any] = {"dest": name, "default": default}
+    action: Action
     if POSITIONAL in marks:
-        group.add_argument(name, type=read, metavar=name.upper(), help=text)
-        return []
-    if is_switch:
-        text += f" (default: {'on' if value else 'off'})"
-    elif value is not None and value != ():
-        shown = " ".join(map(str, value)) if isinstance(value, tuple) else value
-        text += f" (default: {shown})"
-    given: dict[str, Any] = {"dest": name, "default": value}
+        action = group.add_argument(name, type=read, metavar=name.upper())
+        return action
     if is_switch:
         given |= {"action": BooleanOptionalAction}
     elif REPEATED in marks:
-        given |= {"action": "append", "default": list(value), "type": read, "metavar": metavar}
+        given |= {"action": "append", "default": list(default), "type": read, "metavar": metavar}
     else:
         given |= {"nargs": n_words, "type": read, "metavar": metavar}
-    action: Action = group.add_argument(f"--{name.replace('_', '-')}", **given)
-    action.help = text  # BooleanOptionalAction adds to what it is given, before Python 3.13
-    return action.option_strings
+    action = group.add_argument(f"--{name.replace('_', '-')}", **given)
+    return action
+
+
+def _marks(hint: Any) -> tuple[Any, ...]:
+    """Return what an annotated type says besides."""
+    return get_args(hint)[1:] if get_origin(hint) is Annotated else ()
 
 
 def _reader(hint: Any) -> tuple[bool, str, Callable[[str], Any], str | int | None] | None:
@@ -285,6 +321,7 @@ def _one_of(choices: Sequence[str]) -> Callable[[str], str]:
     return read
 
 
+@cache
 def _texts(kind: type) -> dict[str, str]:
     """Return the docstring of each field of a dataclass."""
     texts: dict[str, str] = {}
