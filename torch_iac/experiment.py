@@ -34,26 +34,26 @@ from torch_iac.worlds.make import make_world
 from torch_iac.worlds.vector import World
 
 SEEDS = 2**32
-"""Seeds lie below; every random number generator takes them."""
+"""Seeds lie below this, so that every random number generator accepts them."""
 
 MOST_SEEDS = 1_000_000
-"""Robots of one run; more fit into no memory."""
+"""Limit of robots in one run; more fit into no memory."""
 
 MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
-"""Beyond use: a decision, or what comes before the first, would take minutes."""
+"""Limits: with more, a decision, or the search for bounds, would take minutes."""
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
 
 CONFIG_KEY, BOUNDS, MADE_IN, COMMAND = "iac", "bounds", "made_in", "command"
-"""Where config.json keeps the config, bounds that are not the world's own, the folder that was the
-present one and what was typed."""
+"""Keys in config.json of the config, of bounds that are not the world's own, of the current folder
+when the run was made and of the command."""
 
 log = logging.getLogger(__name__)
 
 
 class StoppedError(Exception):
-    """A run was asked to stop, and has saved itself.
+    """A run was asked to stop, and has saved its state.
 
     Attributes:
         folder: The run folder.
@@ -142,7 +142,7 @@ class Experiment:
         IACConfig.from_json(self.config.to_json())  # refuses what cannot be made again
 
     def to_json(self) -> dict[str, Any]:
-        """Return all of it as JSON can hold it."""
+        """Return all fields as JSON can hold them."""
         content = {f.name: getattr(self, f.name) for f in fields(Experiment)}
         content |= {"seeds": list(self.seeds), "outcomes": list(self.outcomes)}
         content |= {"world_options": dict(self.world_options)}
@@ -212,7 +212,7 @@ class Experiment:
         return {"name": self.world, "options": dict(self.world_options), **held}
 
     def check(self, elsewhere: bool = False) -> None:
-        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere.
+        """Refuse what the world refuses, and, unless it runs elsewhere, a device that is missing.
 
         Args:
             elsewhere: Whether the run will be on another machine, with devices of its own.
@@ -267,7 +267,7 @@ class Experiment:
         stop: Callable[[], bool] = lambda: False,
         command: Sequence[str] = (),
     ) -> Run:
-        """Let the robots develop in a new run folder, and return the run.
+        """Run the experiment in a new run folder, and return the run.
 
         The folder holds every decision, every region, TensorBoard's files, checkpoints, a summary
         and the paper's figures. `resume` goes on with what was stopped or killed.
@@ -278,8 +278,8 @@ class Experiment:
             command: The command that asked for it, for `config.json`.
 
         Raises:
-            StoppedError: It was asked to stop, and has saved itself.
-            ValueError: Something of it is refused; the message says the rule and the value.
+            StoppedError: It was asked to stop, and has saved its state.
+            ValueError: Some value is refused; the message says the rule and the value.
             OSError: The folder holds another run, or cannot be written.
             FloatingPointError: A loss is not finite.
         """
@@ -288,15 +288,15 @@ class Experiment:
         return self._live(folder, None, origin, stop)
 
     def run_or_resume(self, folder: Path | str, *, stop: Callable[[], bool] = lambda: False) -> Run:
-        """Return the run in a folder, which is begun, or gone on with if it has begun.
+        """Begin the run in a folder, or go on with it if it has begun, and return it.
 
         Args:
             folder: The run folder, of this experiment if there is one.
             stop: Asked after each decision whether to save and stop.
 
         Raises:
-            StoppedError: It was asked to stop, and has saved itself.
-            ValueError: Something of it is refused.
+            StoppedError: It was asked to stop, and has saved its state.
+            ValueError: Some value is refused.
         """
         folder = Path(folder)
         if (folder / SUMMARY).exists():
@@ -356,7 +356,7 @@ class Experiment:
     def _develop(
         self, agent: IAC, world: World, recorder: Recorder, stop: Callable[[], bool]
     ) -> None:
-        """Train; what ends it early comes with how to go on."""
+        """Train; errors that end it early say how to go on."""
         folder = recorder.folder
         saved = Checkpoints(folder / CHECKPOINTS, identity(agent, world=self.world_identity()))
         try:
@@ -428,7 +428,7 @@ def resume(
 
     Raises:
         FileNotFoundError: The folder holds no run.
-        StoppedError: It was asked to stop, and has saved itself.
+        StoppedError: It was asked to stop, and has saved its state.
         ValueError: It is no run of an experiment, or has ended with as many decisions.
     """
     run = load_run(folder)
@@ -454,7 +454,7 @@ def load_experiment(path: Path | str) -> Experiment:
     """Return the experiment of a run folder, or of a JSON file such as a run's `config.json`.
 
     Parts of a user's own are imported, from where Python finds modules, from the folder that was
-    the present one when the run was made, or from the present one.
+    the current one when the run was made, or from the current one.
 
     Raises:
         FileNotFoundError: There is none.
@@ -477,12 +477,12 @@ def load_agent(
 ) -> IAC:
     """Return the robots of a run as they are at its last checkpoint.
 
-    They predict, say what actions are worth, and can go on in a loop of one's own.
+    They can predict, say what actions are worth, and go on in your own loop.
 
     Args:
         folder: The run folder.
         n_decisions: At which checkpoint; by default the last one.
-        device: Where they think; by default where they did.
+        device: Where they compute; by default that of the run.
 
     Raises:
         FileNotFoundError: The folder holds no run, or no such checkpoint.
@@ -503,7 +503,7 @@ def experiment_of(run: Run) -> Experiment:
     """Return the experiment of which a run was made.
 
     Raises:
-        ValueError: It was recorded in a loop of somebody's own, or its experiment is refused.
+        ValueError: It was recorded in a loop of the user's own, or its experiment is refused.
     """
     if "world" not in run.config:
         raise ValueError(
@@ -519,7 +519,7 @@ def experiment_of(run: Run) -> Experiment:
 
 
 def _from_config(content: Any, path: Path) -> Experiment:
-    """Return the experiment in a `config.json`, which says more than that."""
+    """Return the experiment in a `config.json`, ignoring its other keys."""
     names = [CONFIG_KEY if f.name == "config" else f.name for f in fields(Experiment)]
     if not isinstance(content, Mapping):
         raise ValueError(f"{path} must have fields by name, got {content!r:.80}")
@@ -547,14 +547,14 @@ def _new_folder(world: str) -> Path:
 
 
 def _tuple(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
-    # Asked before a range of a thousand million becomes as many numbers.
+    # Checked before a huge range becomes a tuple.
     if len(values) > MOST_SEEDS:
         raise ValueError(f"{name} must be at most {MOST_SEEDS:,}, got {len(values):,}")
     return tuple(values)
 
 
 def _description(bounds: Bounds | None) -> dict[str, Any]:
-    """Return what config.json says besides the experiment."""
+    """Return what config.json holds besides the experiment."""
     if bounds is None:
         return {}
     return {BOUNDS: {"given": list(bounds.given), "found": list(bounds.found)}}
@@ -562,7 +562,7 @@ def _description(bounds: Bounds | None) -> dict[str, Any]:
 
 @contextmanager
 def _threads(n_agents: int) -> Iterator[None]:
-    """Let few robots think on one thread."""
+    """Use one thread for few robots."""
     before = torch.get_num_threads()
     if n_agents < THREADED_AGENTS:
         torch.set_num_threads(1)

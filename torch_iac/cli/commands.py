@@ -1,4 +1,4 @@
-"""What the commands but `torch-iac train` can be told; it is read without what carries them out."""
+"""Options of all commands but `torch-iac train`; parsing them does not import PyTorch."""
 
 import os
 from collections.abc import Sequence
@@ -55,9 +55,9 @@ class Compare:
     """How many runs go on at once on this machine; by default one for each core that this
     process may use."""
     ray: str | None = None
-    """The address of a Ray cluster that shall carry the runs out instead, or auto."""
+    """The address of a Ray cluster to use instead, or auto."""
     gpus: float = 0.0
-    """Which part of a GPU each run gets on Ray."""
+    """Fraction of a GPU that each run gets on Ray."""
     only: str | None = None
     """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
 
@@ -79,7 +79,7 @@ class Figures:
 class Replay:
     """Film a robot of a run at stages of its development, with what it predicts and learns.
 
-    Its world is made again, and its recorded actions happen again.
+    Its world is made again, and its recorded actions are repeated.
 
     Raises:
         ValueError: `decisions` is below 1 or too large.
@@ -102,7 +102,7 @@ class Replay:
 
 
 Options = Resume | Compare | Figures | Replay
-"""What any of these commands was told."""
+"""The parsed options of any of these commands."""
 
 KINDS: dict[str, type[Options]] = {
     "resume": Resume,
@@ -119,11 +119,11 @@ USAGE = {
     "figures": "RUN_FOLDER [OPTION ...]",
     "replay": "RUN_FOLDER [OPTION ...]",
 }
-"""What follows each command."""
+"""Usage of each command, after its name."""
 
 
 def parse(words: Sequence[str]) -> Options:
-    """Return what one of these commands was told; help ends the program.
+    """Parse the options of one of these commands; help ends the program.
 
     Args:
         words: The command's name and its options.

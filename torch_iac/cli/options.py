@@ -133,7 +133,7 @@ class Train:
 
 
 _TEXTS = ("world_options", "sensor_bounds")
-"""What stands as texts in `Train` and as values in `Experiment`."""
+"""Fields that are texts in `Train` and values in `Experiment`."""
 
 
 def experiment_of(words: Sequence[str]) -> Experiment:
@@ -148,7 +148,7 @@ def experiment_of(words: Sequence[str]) -> Experiment:
 
 
 def parse_train(words: Sequence[str]) -> Train:
-    """Return what `torch-iac train` is told by its options; `--help` ends the program.
+    """Parse the options of `torch-iac train`; `--help` ends the program.
 
     Raises:
         ValueError: They are refused.
@@ -179,7 +179,7 @@ def is_network(experts: Any) -> TypeIs[NetworkExperts]:
 
 
 def _start(words: Sequence[str]) -> Train:
-    """Return what the choice of a file, a preset and of parts makes of the other options."""
+    """Return the defaults of all options, given the file, the preset and the parts."""
     parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("config", "preset", *KINDS):
         parser.add_argument(f"--{name}", nargs="?")  # a missing value is refused later
