@@ -80,9 +80,9 @@ class Experiment:
     """
 
     world: str = "toyroom"
-    """Where the robots live: toyroom, simulated by pybullet; kinematic, its twin in plain
-    arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
-    Pendulum-v1 or module:id."""
+    """The environment: toyroom, simulated by pybullet; kinematic, the same room in plain
+    arithmetic, for thousands of robots at once; or an id of Gymnasium, such as Pendulum-v1
+    or module:id."""
     config: IACConfig = field(default_factory=IACConfig)
     """The numbers of the algorithm."""
     seeds: Sequence[int] = (0,)
@@ -90,7 +90,7 @@ class Experiment:
     steps: int = 10_000
     """How many decisions each robot takes."""
     device: str = "cpu"
-    """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
+    """Device of the robots and of the kinematic world: cpu, cuda, cuda:1, ... or auto (cuda if
     there is one)."""
     outcomes: Sequence[str] = ()
     """The sensors to predict, or all; by default what the paper predicts in the toy room, and all
@@ -100,17 +100,17 @@ class Experiment:
     hold: int = 1
     """For how many steps of the world each action is held."""
     sensor_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Low and high bounds of sensors, in raw units; what reads beyond is taken for the bound."""
+    """Low and high bounds of sensors, in raw units; readings beyond are clipped."""
     bounds_from: int = 1000
-    """Sensors that have no bounds get those of what they read in so many random decisions, and a
-    tenth more on either side."""
+    """How many random decisions find bounds for sensors without any: the range of their readings,
+    and a tenth of it more on either side."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
     """Every decision of every robot is recorded if that makes at most so many rows, of about 65
     bytes each on disk; otherwise those of the first robots only, and window sums of all."""
     recorded_agents: int = 64
-    """How many those first robots are."""
+    """The number of those first robots."""
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""

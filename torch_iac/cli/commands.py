@@ -33,7 +33,7 @@ class Resume:
 class Compare:
     """Let robots of several variants develop, seed by seed, and report how they differ.
 
-    Words after -- are options of torch-iac train for all runs. The same command, or just the
+    Options after -- are options of torch-iac train for all runs. The same command, or just the
     folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
     """
 
@@ -41,9 +41,9 @@ class Compare:
     """The folder of all the runs and of the report."""
     variant: Annotated[tuple[str, ...], REPEATED] = ()
     """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
-    first is what others are compared with."""
+    others are compared with the first."""
     variants: Path | None = None
-    """A JSON file with variants: under each name its words, as a list or as one text."""
+    """A JSON file with variants: under each name its options, as a list or as one text."""
     seeds: int | None = None
     """How many robots of each variant; by default as many as before, at first 10."""
     seed: int | None = None

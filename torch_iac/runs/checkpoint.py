@@ -54,8 +54,8 @@ _TEMPORARY = re.compile(rf"\.{_NAME.pattern}\.tmp")
 class Checkpoint:
     """A run between two decisions.
 
-    The world's and the loop's parts may be whatever `serialize` can pack: dicts, lists and tuples of
-    arrays, tensors, numbers and text, as the worlds' `get_state` returns them.
+    The world's and the loop's parts may be whatever `serialize` can pack: dicts, lists and tuples
+    of arrays, tensors, numbers and text, as the worlds' `get_state` returns them.
 
     Attributes:
         n_decisions: How many decisions were taken.
