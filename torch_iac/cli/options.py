@@ -55,8 +55,9 @@ class Train:
     """What predicts in each region: knn, mlp, hybrid (both in each region), or module:Name, experts
     or a network of your own. Its options are among those below."""
     drive: str = "progress"
-    """What a candidate action is worth: progress, meta_progress, absolute_progress, global_progress,
-    error, novelty, improvement, curriculum, random, or module:Name, a drive of your own."""
+    """What a candidate action is worth: progress, meta_progress, absolute_progress,
+    global_progress, error, novelty, improvement, curriculum, random, or module:Name, a drive of
+    your own."""
     choice: str = "greedy"
     """Which candidate action is taken, given what each is worth: greedy, proportional, softmax, or
     module:Name."""
