@@ -1,7 +1,7 @@
 """Intelligent Adaptive Curiosity in PyTorch: robots that seek what they learn fastest.
 
-What is public stands in `__init__.pyi`. A name is imported when it is first used, so that one who
-needs few of them, such as the command's help, does not wait for all.
+The public names are in `__init__.pyi`. A name is imported when it is first used, so that importing
+the package is fast.
 """
 
 from lazy_loader import attach_stub

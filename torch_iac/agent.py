@@ -25,7 +25,7 @@ from torch_iac.regions.tree import RegionTree
 from torch_iac.space import SensorimotorSpace
 
 Array = TypeVar("Array", np.ndarray, Tensor)
-"""For an array there is an array in return, for a tensor a tensor; each method says the shapes."""
+"""Arrays in, arrays out; tensors in, tensors out. Each method gives the shapes."""
 
 CHOICE_STREAM = 0
 """Which of an agent's random streams its choices are drawn from."""
@@ -36,7 +36,7 @@ PREDICT_CHUNK = 4096
 
 @dataclass(frozen=True)
 class _Decision:
-    """What was decided, by `act` or by others, and `observe` needs."""
+    """Actions in progress, chosen by `act` or registered, with what `observe` needs."""
 
     sensors: Tensor  # (A, sensor_dim), raw
     actions: Tensor  # (A, action_dim), raw
@@ -62,14 +62,14 @@ class IAC(Stateful):
         examples: What each leaf holds.
         history: The errors and the progress of each leaf.
         whole_history: Each agent's errors in all regions together; None if the drive needs none.
-        experts: What predicts.
-        shadows: The experts that only look on, by name.
+        experts: The agents' own experts, which predict.
+        shadows: Experts that predict and learn without any influence, by name.
         meta: MP; None without one.
         improvement: What learns how much an update lowers the error; None without one.
 
     Raises:
-        ValueError: There are no seeds, the device is not there, a module cannot be the experts'
-            network, or a curriculum is about an action that the world has not.
+        ValueError: There are no seeds, the device is not available, a module cannot be the experts'
+            network, or a curriculum names an action that the world does not have.
 
     Example:
         A robot that pushes and senses how far it got:
@@ -109,13 +109,13 @@ class IAC(Stateful):
         if not len(seeds):
             raise ValueError("seeds must name at least one agent, got none")
         if config is not None and isinstance(config.drive, Curriculum):
-            config.drive.columns(space)  # before the robots live, not when a stage begins
+            config.drive.columns(space)  # checked now, not when the stage begins
         self.space = space
         self.config = config = config or IACConfig()
         self.seeds = tuple(int(seed) for seed in seeds)
         self.device = available_device(device)
         self.n_decisions = 0
-        # On a GPU sensors are checked with all else at the end of a decision, not when they come.
+        # On a GPU sensors are checked in `_judge`, with the one transfer of a decision.
         self._asks_late = self.device.type != "cpu"
 
         n_agents, action_dim = len(seeds), len(space.actions)
@@ -214,7 +214,7 @@ class IAC(Stateful):
 
     @torch.no_grad()
     def worth(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> Tensor:
-        """Return what an action is worth to each agent now, as the config's drive has it.
+        """Return the worth of an action to each agent now, according to the config's drive.
 
         Args:
             actions: Shape `(A, action_dim)`, in raw units, as an array or a tensor.
@@ -225,7 +225,7 @@ class IAC(Stateful):
 
         Raises:
             ValueError: A shape is wrong, or a value is NaN or outside its bounds (which on a GPU,
-                for sensors, nobody notices).
+                for sensors, is not checked).
         """
         _, _, candidates, _ = self._told(actions, sensors)
         return self._worth(candidates)[:, 0]
@@ -281,7 +281,7 @@ class IAC(Stateful):
 
     @torch.no_grad()
     def predict(self, actions: Array, sensors: Array) -> Array:
-        """Return what each agent expects to come of some situations; it learns nothing from them.
+        """Return each agent's predictions for some situations, without learning from them.
 
         Args:
             actions: Shape `(N, action_dim)`, in raw units, as an array or a tensor.
@@ -307,7 +307,7 @@ class IAC(Stateful):
         """Return a copy of all that the future decisions depend on, besides the world.
 
         Raises:
-            RuntimeError: An action waits for what comes of it.
+            RuntimeError: The outcome of an action was not observed yet.
             TypeError: Experts, the agents' own or a shadow's, cannot be saved.
         """
         if self._decision is not None:
@@ -398,7 +398,7 @@ class IAC(Stateful):
         return given.to(self.device, torch.float32, copy=True)
 
     def _scaled(self, values: Array, what: str, n_rows: int, scale: Scale) -> Tensor:
-        """Return values of situations that need not be the present ones, in the unit cube."""
+        """Return values of any situations, checked and scaled to the unit cube."""
         given = self._given(values, what, "situations", (n_rows, len(scale.dimensions)))
         scale.check(given, "situation")
         return scale.to_unit(given)
@@ -406,7 +406,7 @@ class IAC(Stateful):
     def _told(
         self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor
     ) -> tuple[Tensor, Tensor, Candidates, Tensor]:
-        """Return sensors and actions from outside, in raw units, and them as the one candidate."""
+        """Return external sensors and actions, checked, in raw units, and as the only candidate."""
         readings = self._checked(sensors)
         expected = (self.n_agents, len(self.space.actions))
         given = self._given(actions, "actions", "agents", expected)
@@ -415,7 +415,7 @@ class IAC(Stateful):
         return readings, given, candidates, nodes
 
     def _candidates(self, readings: Tensor, actions: Tensor) -> tuple[Candidates, Tensor]:
-        """Return the situations that actions `(A, C, action_dim)`, scaled, make, and the leaves."""
+        """Return the situations of scaled actions `(A, C, action_dim)`, and their leaves."""
         context = self._sensor_scale.to_unit(readings)[:, None]
         situations = torch.cat([actions, context.expand(-1, actions.shape[1], -1)], dim=2)
         nodes = self.tree.route(situations)
@@ -489,7 +489,7 @@ class IAC(Stateful):
     ) -> bool:
         """Return whether a region is full (C1), unless something is wrong.
 
-        All that a decision must ask a GPU is asked here at once, since each answer is waited for.
+        All flags of a decision are transferred from a GPU here at once: each transfer waits.
         """
         wrong = [~loss.isfinite() for loss in losses]
         if self._asks_late:

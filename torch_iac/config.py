@@ -37,7 +37,7 @@ class IACConfig:
     choice: Choice = field(default_factory=Greedy)
     """Which candidate is taken, given what each is worth."""
     meta: MetaPredictor | None = field(default_factory=MetaPredictor)
-    """MP, which learns what errors to expect; some drives need it, the regional drive does not.
+    """MP, which learns what errors to expect; some drives need it, the default drive does not.
     None leaves it out."""
     improvement: ImprovementPredictor | None = None
     """What learns how much an update improves a prediction; one drive needs it."""

@@ -34,26 +34,26 @@ from torch_iac.worlds.make import make_world
 from torch_iac.worlds.vector import World
 
 SEEDS = 2**32
-"""Seeds lie below; every random number generator takes them."""
+"""Seeds lie below this, so that every random number generator accepts them."""
 
 MOST_SEEDS = 1_000_000
-"""Robots of one run; more fit into no memory."""
+"""Limit of robots in one run; more fit into no memory."""
 
 MOST_HOLD, MOST_BOUNDS_FROM = 1000, 1_000_000
-"""Beyond use: a decision, or what comes before the first, would take minutes."""
+"""Limits: with more, a decision, or the search for bounds, would take minutes."""
 
 THREADED_AGENTS = 32
 """With fewer robots, tensors are so small that sharing work between threads costs time."""
 
 CONFIG_KEY, BOUNDS, MADE_IN, COMMAND = "iac", "bounds", "made_in", "command"
-"""Where config.json keeps the config, bounds that are not the world's own, the folder that was the
-present one and what was typed."""
+"""Keys in config.json of the config, of bounds that are not the world's own, of the current folder
+when the run was made and of the command."""
 
 log = logging.getLogger(__name__)
 
 
 class StoppedError(Exception):
-    """A run was asked to stop, and has saved itself.
+    """A run was asked to stop, and has saved its state.
 
     Attributes:
         folder: The run folder.
@@ -80,9 +80,9 @@ class Experiment:
     """
 
     world: str = "toyroom"
-    """Where the robots live: toyroom, simulated by pybullet; kinematic, its twin in plain
-    arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
-    Pendulum-v1 or module:id."""
+    """The environment: toyroom, simulated by pybullet; kinematic, the same room in plain
+    arithmetic, for thousands of robots at once; or an id of Gymnasium, such as Pendulum-v1
+    or module:id."""
     config: IACConfig = field(default_factory=IACConfig)
     """The numbers of the algorithm."""
     seeds: Sequence[int] = (0,)
@@ -90,7 +90,7 @@ class Experiment:
     steps: int = 10_000
     """How many decisions each robot takes."""
     device: str = "cpu"
-    """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
+    """Device of the robots and of the kinematic world: cpu, cuda, cuda:1, ... or auto (cuda if
     there is one)."""
     outcomes: Sequence[str] = ()
     """The sensors to predict, or all; by default what the paper predicts in the toy room, and all
@@ -100,17 +100,17 @@ class Experiment:
     hold: int = 1
     """For how many steps of the world each action is held."""
     sensor_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Low and high bounds of sensors, in raw units; what reads beyond is taken for the bound."""
+    """Low and high bounds of sensors, in raw units; readings beyond are clipped."""
     bounds_from: int = 1000
-    """Sensors that have no bounds get those of what they read in so many random decisions, and a
-    tenth more on either side."""
+    """How many random decisions find bounds for sensors without any: the range of their readings,
+    and a tenth of it more on either side."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
     """Every decision of every robot is recorded if that makes at most so many rows, of about 65
     bytes each on disk; otherwise those of the first robots only, and window sums of all."""
     recorded_agents: int = 64
-    """How many those first robots are."""
+    """The number of those first robots."""
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
@@ -142,7 +142,7 @@ class Experiment:
         IACConfig.from_json(self.config.to_json())  # refuses what cannot be made again
 
     def to_json(self) -> dict[str, Any]:
-        """Return all of it as JSON can hold it."""
+        """Return all fields as JSON can hold them."""
         content = {f.name: getattr(self, f.name) for f in fields(Experiment)}
         content |= {"seeds": list(self.seeds), "outcomes": list(self.outcomes)}
         content |= {"world_options": dict(self.world_options)}
@@ -212,7 +212,7 @@ class Experiment:
         return {"name": self.world, "options": dict(self.world_options), **held}
 
     def check(self, elsewhere: bool = False) -> None:
-        """Refuse what the world refuses, and a device that is not here, unless it is elsewhere.
+        """Refuse what the world refuses, and, unless it runs elsewhere, a device that is missing.
 
         Args:
             elsewhere: Whether the run will be on another machine, with devices of its own.
@@ -267,7 +267,7 @@ class Experiment:
         stop: Callable[[], bool] = lambda: False,
         command: Sequence[str] = (),
     ) -> Run:
-        """Let the robots develop in a new run folder, and return the run.
+        """Run the experiment in a new run folder, and return the run.
 
         The folder holds every decision, every region, TensorBoard's files, checkpoints, a summary
         and the paper's figures. `resume` goes on with what was stopped or killed.
@@ -278,8 +278,8 @@ class Experiment:
             command: The command that asked for it, for `config.json`.
 
         Raises:
-            StoppedError: It was asked to stop, and has saved itself.
-            ValueError: Something of it is refused; the message says the rule and the value.
+            StoppedError: It was asked to stop, and has saved its state.
+            ValueError: Some value is refused; the message says the rule and the value.
             OSError: The folder holds another run, or cannot be written.
             FloatingPointError: A loss is not finite.
         """
@@ -288,15 +288,15 @@ class Experiment:
         return self._live(folder, None, origin, stop)
 
     def run_or_resume(self, folder: Path | str, *, stop: Callable[[], bool] = lambda: False) -> Run:
-        """Return the run in a folder, which is begun, or gone on with if it has begun.
+        """Begin the run in a folder, or go on with it if it has begun, and return it.
 
         Args:
             folder: The run folder, of this experiment if there is one.
             stop: Asked after each decision whether to save and stop.
 
         Raises:
-            StoppedError: It was asked to stop, and has saved itself.
-            ValueError: Something of it is refused.
+            StoppedError: It was asked to stop, and has saved its state.
+            ValueError: Some value is refused.
         """
         folder = Path(folder)
         if (folder / SUMMARY).exists():
@@ -356,7 +356,7 @@ class Experiment:
     def _develop(
         self, agent: IAC, world: World, recorder: Recorder, stop: Callable[[], bool]
     ) -> None:
-        """Train; what ends it early comes with how to go on."""
+        """Train; errors that end it early say how to go on."""
         folder = recorder.folder
         saved = Checkpoints(folder / CHECKPOINTS, identity(agent, world=self.world_identity()))
         try:
@@ -428,7 +428,7 @@ def resume(
 
     Raises:
         FileNotFoundError: The folder holds no run.
-        StoppedError: It was asked to stop, and has saved itself.
+        StoppedError: It was asked to stop, and has saved its state.
         ValueError: It is no run of an experiment, or has ended with as many decisions.
     """
     run = load_run(folder)
@@ -454,7 +454,7 @@ def load_experiment(path: Path | str) -> Experiment:
     """Return the experiment of a run folder, or of a JSON file such as a run's `config.json`.
 
     Parts of a user's own are imported, from where Python finds modules, from the folder that was
-    the present one when the run was made, or from the present one.
+    the current one when the run was made, or from the current one.
 
     Raises:
         FileNotFoundError: There is none.
@@ -477,12 +477,12 @@ def load_agent(
 ) -> IAC:
     """Return the robots of a run as they are at its last checkpoint.
 
-    They predict, say what actions are worth, and can go on in a loop of one's own.
+    They can predict, say what actions are worth, and go on in your own loop.
 
     Args:
         folder: The run folder.
         n_decisions: At which checkpoint; by default the last one.
-        device: Where they think; by default where they did.
+        device: Where they compute; by default that of the run.
 
     Raises:
         FileNotFoundError: The folder holds no run, or no such checkpoint.
@@ -503,7 +503,7 @@ def experiment_of(run: Run) -> Experiment:
     """Return the experiment of which a run was made.
 
     Raises:
-        ValueError: It was recorded in a loop of somebody's own, or its experiment is refused.
+        ValueError: It was recorded in a loop of the user's own, or its experiment is refused.
     """
     if "world" not in run.config:
         raise ValueError(
@@ -519,7 +519,7 @@ def experiment_of(run: Run) -> Experiment:
 
 
 def _from_config(content: Any, path: Path) -> Experiment:
-    """Return the experiment in a `config.json`, which says more than that."""
+    """Return the experiment in a `config.json`, ignoring its other keys."""
     names = [CONFIG_KEY if f.name == "config" else f.name for f in fields(Experiment)]
     if not isinstance(content, Mapping):
         raise ValueError(f"{path} must have fields by name, got {content!r:.80}")
@@ -547,14 +547,14 @@ def _new_folder(world: str) -> Path:
 
 
 def _tuple(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
-    # Asked before a range of a thousand million becomes as many numbers.
+    # Checked before a huge range becomes a tuple.
     if len(values) > MOST_SEEDS:
         raise ValueError(f"{name} must be at most {MOST_SEEDS:,}, got {len(values):,}")
     return tuple(values)
 
 
 def _description(bounds: Bounds | None) -> dict[str, Any]:
-    """Return what config.json says besides the experiment."""
+    """Return what config.json holds besides the experiment."""
     if bounds is None:
         return {}
     return {BOUNDS: {"given": list(bounds.given), "found": list(bounds.found)}}
@@ -562,7 +562,7 @@ def _description(bounds: Bounds | None) -> dict[str, Any]:
 
 @contextmanager
 def _threads(n_agents: int) -> Iterator[None]:
-    """Let few robots think on one thread."""
+    """Use one thread for few robots."""
     before = torch.get_num_threads()
     if n_agents < THREADED_AGENTS:
         torch.set_num_threads(1)

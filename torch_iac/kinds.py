@@ -1,4 +1,4 @@
-"""The kinds of experts, drives and choices that there are, by name, and those of a user's own."""
+"""Experts, drives and choices by name, and the user's own by `module:Name`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
@@ -31,7 +31,7 @@ EXPERTS: dict[str, type[Experts]] = {
     "mlp": MLPExperts,
     "hybrid": HybridExperts,
 }
-"""What the kinds of experts are called."""
+"""Kinds of experts by name."""
 DRIVES: dict[str, type[Drive]] = {
     "progress": Progress,
     "meta_progress": MetaProgress,
@@ -43,23 +43,23 @@ DRIVES: dict[str, type[Drive]] = {
     "curriculum": Curriculum,
     "random": Random,
 }
-"""What the drives are called."""
+"""Drives by name."""
 CHOICES: dict[str, type[Choice]] = {
     "greedy": Greedy,
     "proportional": Proportional,
     "softmax": Softmax,
 }
-"""What the choices are called."""
+"""Choices by name."""
 
 KINDS: dict[str, tuple[Mapping[str, type], type]] = {
     "experts": (EXPERTS, Experts),
     "drive": (DRIVES, Drive),
     "choice": (CHOICES, Choice),
 }
-"""The parts that have a name: the library's own, and what any other must be."""
+"""The library's own parts by name, and the protocol of any other."""
 
 METHODS = {"experts": "pool", "drive": "worth", "choice": "pick"}
-"""What each kind of part can do."""
+"""The method that each kind of part must have."""
 
 PARTS: dict[str, type] = {
     part.__name__: part
@@ -71,7 +71,7 @@ PARTS: dict[str, type] = {
         *(Greedy, Proportional, Softmax),
     )
 }
-"""What a config can be made of, by the names that its JSON has for them."""
+"""Classes that a config's JSON names without a module."""
 
 
 def named(kind: str, name: str) -> Any:

@@ -1,4 +1,4 @@
-"""How much memory a run will need, estimated before it begins, and how much there is.
+"""Memory that a run will need, estimated before it begins, and free memory.
 
 Memory grows with the leaves of the region trees, and those with decisions. Tables double when they
 are full.
@@ -21,14 +21,14 @@ from torch_iac.runs.buffer import decisions_per_part, row_bytes
 from torch_iac.space import SensorimotorSpace
 
 MARGIN = 1.2
-"""How much is taken from the system for what is needed: not every gap can be used again."""
+"""Bytes allocated per byte needed, because of fragmentation."""
 
 CUT_BYTES = 64
 """Peak temporary bytes of the best cut, for each coordinate of each example: its rank and
 its value, and sums and gains in float64."""
 
 NODE_BYTES = 1500
-"""What a leaf, its ancestors and their exits take in the region tree, whose tables double too."""
+"""Bytes of a leaf, its ancestors and their exits in the region tree, whose tables double too."""
 
 CANDIDATE_BYTES = 200
 """Peak temporary bytes of routing a candidate: eight comparisons and their numbers."""
@@ -37,7 +37,7 @@ DRAW_BYTES = 24
 """Peak temporary bytes of a random number."""
 
 READ_BYTES = 64
-"""What summing up takes, at the end, for each row that was recorded."""
+"""Bytes per recorded row while the summary is made, at the end."""
 
 GROUPS = (
     ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
@@ -48,19 +48,19 @@ GROUPS = (
         "total_inactive_file",
     ),
 )
-"""Where Linux says how much a group of processes may take and has taken, and how much of that it
-would give back; newer and older."""
+"""Linux's control groups, newer and older: folder, files of limit and usage, and the name of the
+memory that could be reclaimed."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """What a run needs, in bytes.
+    """The memory of a run, in bytes.
 
     Attributes:
         tables: What the agents keep, where they are.
         working: Their peak temporary bytes, there too.
         recorded: The decisions that are not yet on disk, there too.
-        on_host: In the main memory, to write and to sum up what is recorded.
+        on_host: In the main memory, to write and to sum up the records.
     """
 
     tables: int
@@ -70,17 +70,17 @@ class Need:
 
     @property
     def on_device(self) -> int:
-        """All that is needed where the agents are."""
+        """All that is needed on the agents' device."""
         return int(MARGIN * (self.tables + self.working + self.recorded))
 
 
 @dataclass(frozen=True)
 class _Network:
-    """How large a network is.
+    """The size of a network.
 
     Attributes:
         n_weights: How many weights it has.
-        n_units: How many numbers its layers make; of any module, how many biases it has.
+        n_units: How many outputs all its layers have; for any other module, how many biases.
     """
 
     n_weights: int
@@ -178,7 +178,7 @@ def memory_needed(
 
 
 def free_memory(device: torch.device) -> int | None:
-    """Return how many bytes are free on a device; None where nobody says."""
+    """Return how many bytes are free on a device; None where that is unknown."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     known = [*_free_of_machine(), *_free_of_groups()] if device.type == "cpu" else []
@@ -189,13 +189,13 @@ def _n_leaves(config: IACConfig, n_decisions: int) -> int:
     """Return how many leaves an agent's tree is expected to have."""
     if n_decisions <= config.max_examples:
         return 1
-    # How full a leaf is on average; lopsided cuts leave small ones.
+    # How full a leaf is on average; unequal cuts leave small ones.
     fill = min(0.7, round(0.3 + 4 / 3 * config.balance, 3))
     return ceil(n_decisions / (fill * config.max_examples))
 
 
 def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
-    """Return what each leaf takes."""
+    """Return the bytes of each leaf."""
     examples = (situation_dim + outcome_dim) * (config.max_examples + 1) * 4
     history = (config.delay + config.window + 1) * 8
     networks = sum(
@@ -211,7 +211,7 @@ def _leaf_bytes(config: IACConfig, situation_dim: int, outcome_dim: int) -> int:
 
 
 def _agent_bytes(config: IACConfig, situation_dim: int) -> int:
-    """Return what each agent takes, however many leaves its tree has."""
+    """Return the bytes of each agent besides its leaves."""
     n_bytes = (config.delay + config.window + 1) * 8 if "whole_history" in config.drive.needs else 0
     for training in (config.meta, config.improvement):
         if training is not None:
@@ -253,7 +253,7 @@ def _learners(config: IACConfig) -> list[Experts]:
 
 
 def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network | None:
-    """Return how large a network of a kind of experts is; None of those that are no networks."""
+    """Return the size of the network of a kind of experts; None for other experts."""
     if isinstance(experts, MLPExperts):
         return _mlp(experts.hidden, situation_dim, outcome_dim)
     if isinstance(experts, NetworkExperts):
@@ -267,19 +267,19 @@ def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network
 
 
 def _mlp(hidden: tuple[int, ...], n_inputs: int, n_outputs: int) -> _Network:
-    """Return how large a multi-layer perceptron is, without making what may be far too large."""
+    """Return the size of a multi-layer perceptron without making it."""
     sizes = MLP(hidden).sizes(n_inputs, n_outputs)
     n_weights = sum((n_in + 1) * n_out for n_in, n_out in sizes)
     return _Network(n_weights, sum(n_out for _, n_out in sizes))
 
 
 def _network_bytes(network: _Network | None) -> int:
-    """Return what a network takes: its weights, and twice as much that the optimiser remembers."""
+    """Return a network's bytes: its weights, and twice as much for the optimiser's state."""
     return 0 if network is None else 3 * 4 * network.n_weights
 
 
 def _n_minibatches(training: Training) -> int:
-    """Return how many minibatches are picked at once, at most."""
+    """Return how many minibatches are drawn at once, at most."""
     if isinstance(training, NetworkTraining) and training.children == "fresh":
         return max(training.minibatches, training.fresh_minibatches)
     return training.minibatches
@@ -288,8 +288,8 @@ def _n_minibatches(training: Training) -> int:
 def _training_bytes(network: _Network, training: Training, n_inputs: int) -> int:
     """Return the peak temporary bytes of a network while it learns.
 
-    All minibatches of a decision are picked at once; each layer keeps what it made and its
-    gradient; weights, gradient and memory are copied, and copied again by a step.
+    All minibatches of a decision are drawn at once; each layer keeps its outputs and their
+    gradient; weights, gradient and optimiser state are copied, and copied again by a step.
     """
     picked = _n_minibatches(training) * training.minibatch_size * (8 + 4 * n_inputs)
     layers = 4 * 4 * training.minibatch_size * network.n_units
@@ -297,7 +297,7 @@ def _training_bytes(network: _Network, training: Training, n_inputs: int) -> int
 
 
 def _free_of_machine() -> Iterator[int]:
-    """Yield how much memory the machine has free, if it says so as Linux does."""
+    """Yield the machine's free memory, on Linux."""
     path = Path("/proc/meminfo")
     if path.is_file():
         lines = dict(line.split(":", 1) for line in path.read_text().splitlines())
@@ -305,7 +305,7 @@ def _free_of_machine() -> Iterator[int]:
 
 
 def _free_of_groups() -> Iterator[int]:
-    """Yield how much memory the limits of this process's groups leave free."""
+    """Yield the memory that the limits of this process's control groups leave free."""
     path = Path("/proc/self/cgroup")
     own = [line.split(":")[2] for line in path.read_text().splitlines()] if path.is_file() else []
     for root, most, taken, idle in GROUPS:

@@ -45,19 +45,19 @@ class RecentTraining(Training):
 
 @dataclass(frozen=True, kw_only=True)
 class MetaPredictor(RecentTraining):
-    """MP, one multi-layer perceptron an agent: situation to expected error.
+    """MP, one multi-layer perceptron for each agent, from a situation to the expected error.
 
     It learns online, from the most recent situations and errors only, since errors age. Its output
-    is the logarithm of the expected error, so it is never negative. What it makes smaller is
+    is the logarithm of the expected error, so it is never negative. Its loss is
 
         error / expected + log(expected)
 
     which is least where the expectation is the mean error, and weighs errors relatively: a small
     error is learnt as precisely as a large one (the loss of a gamma-distributed error).
 
-    The errors of two activities can differ fifty times and meet at a sharp edge. A network of the
-    bare situation smooths such an edge over; with each dimension in `bins` an edge within one of
-    them is a matter of few weights, and few hidden units are enough, which err less.
+    Errors can be fifty times as large on one side of a sharp edge as on the other. A network of
+    the situation alone smooths such an edge; with each dimension divided into `bins` it needs few
+    weights for an edge, so that few hidden units are enough, which is more accurate.
 
     Source: Oudeyer and Kaplan (2004), section 2.1, which does not say what MP is.
     """
@@ -84,9 +84,9 @@ class MetaPredictor(RecentTraining):
 
 @dataclass(frozen=True, kw_only=True)
 class ImprovementPredictor(RecentTraining):
-    """A network an agent: situation to how much learning from it lowers the error there.
+    """A network for each agent, from a situation to how much learning there lowers the error.
 
-    It makes its mean squared error smaller.
+    Its loss is the squared error.
 
     Source: Schmidhuber (1991); what the network is, is this library's choice.
     """
@@ -99,7 +99,7 @@ class ImprovementPredictor(RecentTraining):
 
 
 class ErrorExpectation(Stateful):
-    """The meta-predictors of a population at work.
+    """The meta-predictors of a population.
 
     Args:
         networks: From situations to the logarithm of the error.
@@ -123,11 +123,11 @@ class ErrorExpectation(Stateful):
 
 
 class RecentNetworks(Stateful):
-    """One network an agent, from situation to a number, trained on the most recent pairs.
+    """One network for each agent, from a situation to a number, trained on the most recent pairs.
 
     Args:
         training: How it learns.
-        loss: What is made smaller.
+        loss: The loss, averaged over a minibatch.
         situation_dim: D.
         seeds: One for each agent.
         device: Where it learns.
@@ -156,12 +156,12 @@ class RecentNetworks(Stateful):
         self._targets = torch.zeros(len(seeds), 1, training.memory, device=device)
 
     def predict(self, situations: Tensor) -> Tensor:
-        """Return what the networks make of situations `(A, C, D)`, shape `(A, C)`."""
+        """Return the networks' outputs for situations `(A, C, D)`, shape `(A, C)`."""
         inputs = filled_bins(situations, self._bins)
         return self._networks.predict(self._agents, inputs)[..., 0]
 
     def learn(self, situations: Tensor, targets: Tensor, step: int) -> Tensor:
-        """Remember a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`.
+        """Store a situation `(A, D)` and its target `(A,)`, learn, return the losses `(A,)`.
 
         Situations are in the unit cube; `step` is the decision's number.
         """

@@ -1,4 +1,4 @@
-"""What the engine returns: a step, its shadows, a summary of the regions, their genealogy."""
+"""Records that the agent returns: steps, shadows, summaries and the tree of regions."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class ShadowStep:
-    """What experts that only look on made of a decision.
+    """Predictions and errors of shadow experts at a decision.
 
     Attributes:
         name: Their name in the config.
@@ -22,7 +22,7 @@ class ShadowStep:
 
 @dataclass(frozen=True)
 class Step:
-    """One decision of every agent and what came of it; raw units unless said otherwise.
+    """One decision of every agent and its outcome; raw units unless said otherwise.
 
     Attributes:
         number: Which decision, from 0.
@@ -35,7 +35,7 @@ class Step:
         regions: Shape `(A,)`, the region whose expert predicted, before any split.
         progress: Shape `(A,)`, float64, of that region when the action was chosen, in scaled units.
         random_actions: Shape `(A,)`, bool, whether the action was taken at random (epsilon).
-        shadows: What the other experts made of it, in the config's order.
+        shadows: Predictions and errors of the shadows, in the config's order.
         used_network: Shape `(A,)`, bool, whether hybrid experts used the network; None of others.
     """
 
@@ -58,7 +58,7 @@ class RegionSummary:
     """The present leaves, by agent, then region; columns of shape `(leaves,)`, on the CPU.
 
     Attributes:
-        agent: Place of the agent in the population.
+        agent: Index of the agent in the population.
         region: The region's number within its agent.
         progress: Its last learning progress, in scaled units.
         mean_error: Mean of its last `window` errors, in scaled units; NaN without any.
@@ -77,7 +77,7 @@ class Genealogy:
     """Every region ever made, by agent, then region; columns of shape `(regions,)`, on the CPU.
 
     Attributes:
-        agent: Place of the agent in the population.
+        agent: Index of the agent in the population.
         region: The region's number within its agent.
         parent: The region it came from; `NONE` for a root.
         depth: How many cuts separate it from its root.

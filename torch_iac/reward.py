@@ -1,7 +1,7 @@
 """Learning progress as the reward, for any library of reinforcement learning.
 
-Two Gymnasium wrappers, for one world and for a vector of worlds. Experts look on while someone else
-acts: they predict and learn from every transition, and what an action was worth to them, learning
+Two Gymnasium wrappers, for one world and for a vector of worlds. A learner chooses the actions;
+experts predict and learn from every transition, and the worth of an action to them, learning
 progress unless the config has another drive, is the reward.
 
 Source: Oudeyer, Kaplan and Hafner (2007), who define learning progress as an internal reward and
@@ -29,14 +29,14 @@ Array: TypeAlias = NDArray[Any]
 """An action, shape `(action_dim,)`, or an observation, `(sensor_dim,)`, in raw units."""
 
 When: TypeAlias = Literal["learnt", "chosen"]
-"""When an action's worth is asked for: after the experts learnt from it, or before."""
+"""When the worth of an action is computed: after the experts learnt from it, or before."""
 
 INFO = "iac"
-"""Where `info` holds what the experts made of a transition."""
+"""Key in `info` of the experts' errors, regions and progress."""
 
 
 class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordConstructorArgs):
-    """A world whose reward is the learning progress of experts that look on.
+    """A wrapper whose reward is the learning progress of experts.
 
         reward = scale * LP of the region that holds (action, sensors), in scaled units
 
@@ -51,7 +51,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
     Args:
         env: A world whose actions and observations are bounded, flat boxes.
         config: The numbers of the algorithm. Those by which IAC chooses actions (`choice`,
-            `n_candidates`, `epsilon`) have no say here.
+            `n_candidates`, `epsilon`) have no effect here.
         outcomes: The names of the sensors to predict, or "all".
         seed: Seeds what is random in the experts; the world's seed is that of `reset`.
         when: Whether the reward is what the action is worth once the experts have learnt from it
@@ -63,7 +63,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
 
     Attributes:
         agent: The experts, a population of one; another one after a reset with a seed.
-        last: What came of the last transition; None before the first one.
+        last: The last step; None before the first one.
 
     Raises:
         ValueError: A space or an outcome does not fit, or `when` or `scale` is none of the above.
@@ -93,13 +93,13 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
 
     @property
     def last(self) -> Step | None:
-        """What came of the last transition."""
+        """The last step."""
         return self._onlooker.last
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode; with a seed, the experts' lives too."""
+        """Begin an episode; with a seed, new experts too."""
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._onlooker.begin_anew()
@@ -107,7 +107,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
         return observation, info
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Act on the world, and let the experts learn from what came of it.
+        """Take an action in the world, and let the experts learn from the outcome.
 
         Raises:
             ResetNeeded: The world was not reset.
@@ -135,13 +135,13 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         config: The numbers of the algorithm.
         outcomes: The names of the sensors to predict, or "all".
         seeds: One for each world's experts; 0, 1, ... if not given.
-        when: When worth is asked for: `"learnt"` or `"chosen"`.
+        when: When worth is computed: `"learnt"` or `"chosen"`.
         scale: What worth is multiplied by.
         device: Where the experts are kept.
 
     Attributes:
         agent: The experts, an agent a world; another population after a reset with a seed.
-        last: What came of the last transitions; None before the first ones.
+        last: The last step; None before the first one.
 
     Raises:
         ValueError: As for `ProgressReward`, or there are not as many seeds as worlds, or the device
@@ -173,13 +173,13 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 
     @property
     def last(self) -> Step | None:
-        """What came of the last transitions."""
+        """The last step."""
         return self._onlooker.last
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes; with a seed, all experts' lives too."""
+        """Begin episodes; with a seed, new experts too."""
         sensors, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         if seed is not None:
             self._onlooker.begin_anew()
@@ -187,7 +187,7 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         return sensors, info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Act on the worlds, and let the experts learn from what came of it.
+        """Take actions in the worlds, and let the experts learn from the outcomes.
 
         Raises:
             ResetNeeded: The worlds were not reset.
@@ -206,11 +206,11 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
 
 
 class _Onlooker:
-    """Agents that learn from what others do, and say what it was worth.
+    """Agents that learn from actions of others, and compute rewards.
 
     Args:
-        agent: They, knowing nothing yet.
-        when: When worth is asked for.
+        agent: They, untrained.
+        when: When worth is computed.
         scale: What it is multiplied by.
     """
 
@@ -232,11 +232,11 @@ class _Onlooker:
         self.last = None
 
     def see(self, sensors: Array | Tensor) -> None:
-        """Keep what the next actions start from; worlds and users may write over it."""
+        """Copy the sensors before the next actions; worlds and users may overwrite them."""
         self._sensors = sensors.clone() if isinstance(sensors, Tensor) else torch.tensor(sensors)
 
     def take(self, actions: Array | Tensor) -> None:
-        """Be told what is done now."""
+        """Register the actions that are taken now."""
         if self._sensors is None:
             raise ResetNeeded("reset must be called before step")
         self.agent.set_actions(actions, self._sensors)
@@ -244,7 +244,7 @@ class _Onlooker:
             self._worth = self.agent.worth(actions, self._sensors)
 
     def observe(self, sensors: Array | Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Learn from what came of it; return rewards `(A,)`, and what the experts made of it."""
+        """Learn from the outcome; return rewards `(A,)`, and what `info` holds of the experts."""
         self.last = step = self.agent.observe(sensors)
         if self._when == "learnt":
             self._worth = self.agent.worth(step.actions, step.sensors)

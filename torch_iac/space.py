@@ -22,10 +22,10 @@ bound: beyond, float32 overflows, or tells only a few values in the range apart.
 
 @dataclass(frozen=True)
 class Dimension:
-    """One wire of the robot: its name and its bounds.
+    """One number of the action or of the sensors: its name and its bounds.
 
     Attributes:
-        name: What it is called.
+        name: Its name.
         low: Its least value, in raw units.
         high: Its greatest value, in raw units.
 
@@ -125,7 +125,7 @@ class SensorimotorSpace:
 
     @property
     def outcome_columns(self) -> tuple[int, ...]:
-        """Where among the sensors each outcome stands, counted from 0."""
+        """The index of each outcome among the sensors."""
         return tuple(self.sensors.index(outcome) for outcome in self.outcomes)
 
     def to_json(self) -> dict[str, dict[str, list[float]]]:

@@ -1,9 +1,9 @@
-"""What is known of the toy room: its names, what is predicted in it, what to look at."""
+"""Defaults for the toy rooms: names, outcomes, and which measures are better."""
 
 from typing import Literal
 
 BETTER_SHARES: dict[str, Literal["lower", "higher"]] = {"f1": "lower", "f2": "higher"}
-"""Time with what cannot be learnt is lost, time with what is hard and can be learnt is not."""
+"""Whether more time in a zone is better: f1 cannot be learnt, f2 can and is hard."""
 
 FOCUS_SHARES = {"f3": 0.6, "f2": 0.5}
 """The share of a window that counts as a focus on a zone, for the zones of the 2004 paper; it gives
@@ -13,10 +13,10 @@ WORLDS = {
     "toyroom": "torch_iac_envs/ToyRoom-v0",
     "kinematic": "torch_iac_envs/ToyRoomKinematic-v0",
 }
-"""What the toy rooms are called here, and by Gymnasium."""
+"""Names of the toy rooms here, and Gymnasium's ids."""
 OUTCOMES = {"toyroom": ("toy_distance",), "kinematic": ("toy_distance",)}
-"""What is predicted in them, as in the papers, if nobody says otherwise."""
+"""Their default outcomes, as in the papers."""
 WORLD_BYTES = {"toyroom": 30_000_000, "kinematic": 4_000}
-"""What a world takes in the main memory; with pybullet it is a whole physics engine."""
+"""Main memory of one world, in bytes; with pybullet, of its physics engine."""
 OTHER_WORLD_BYTES = 1_000_000
-"""What any other is taken to need; one of MuJoCo was seen to take 0.6 MB."""
+"""Assumed for any other; one of MuJoCo's took 0.6 MB."""

@@ -1,4 +1,4 @@
-"""The loop that joins a population of agents and its world."""
+"""The loop of agents and environment."""
 
 import logging
 import time
@@ -17,13 +17,13 @@ from torch_iac.worlds.saving import STATE, set_world_state, world_state
 from torch_iac.worlds.vector import World, outcome_of
 
 SECONDS_BETWEEN_LINES = 10.0
-"""How often (s) the log speaks of the run where there is no terminal for a progress bar."""
+"""Seconds between two lines in the log, where there is no terminal for a progress bar."""
 
 CHECKPOINT_EVERY = 1000
-"""How many decisions lie between two checkpoints, if nobody says otherwise."""
+"""Default number of decisions between two checkpoints."""
 
 SHARE_FOR_CHECKPOINTS = 0.05
-"""At most this share of the time goes into checkpoints; one that would take more waits."""
+"""Largest share of the time for checkpoints; one that would take more is postponed."""
 
 log = logging.getLogger(__name__)
 
@@ -106,7 +106,7 @@ def _begin(
     if checkpoints is None:
         return sensors
     try:
-        world_state(env)  # refused now rather than when the first checkpoint is due
+        world_state(env)  # checked now, not when the first checkpoint is due
     except AttributeError:
         raise ValueError(
             f"a world must have get_state and set_state, or worlds with {STATE}, to be saved, "
@@ -127,7 +127,7 @@ def _begin(
 
 
 class _Saver:
-    """Saves a run now and then."""
+    """Writes checkpoints, as far as they keep to their share of the time."""
 
     def __init__(
         self, agent: IAC, env: World, recorder: Recorder | None, checkpoints: Checkpoints

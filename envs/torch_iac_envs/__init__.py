@@ -1,4 +1,4 @@
-"""Worlds for curious robots, as Gymnasium environments; importing registers them."""
+"""The toy rooms as Gymnasium environments; importing the package registers them."""
 
 import gymnasium as gym
 

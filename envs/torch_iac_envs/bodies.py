@@ -44,7 +44,7 @@ TOUCHES = {
 FRICTION = {FLOOR: 0.5, WALL: 2.0, CHASSIS: 0.05, WHEEL: 3.0, TOY: 0.02}
 """The engine multiplies the two bodies' numbers: floor and wheel 1.5, floor and skid 0.025."""
 BOUNCE = {FLOOR: 0.0, WALL: 1.0, CHASSIS: 0.0, WHEEL: 0.0, TOY: 0.9}
-"""What is left of the speed towards each other; again the two bodies' product."""
+"""Restitution, the share of the speed that a bounce leaves; again the two bodies' product."""
 
 SAND, SLATE, BLUE, WHITE, DARK, RED = (
     (0.86, 0.82, 0.74, 1.0),
@@ -70,7 +70,7 @@ def build(client: Client, room: Room, substeps: int) -> tuple[int, int]:
         room: The room's measures.
         substeps: Physics steps in one `SLICE`.
     """
-    p.resetSimulation(**client)  # forgets gravity and the solver's settings too
+    p.resetSimulation(**client)  # resets gravity and the solver's settings too
     p.setGravity(0, 0, -GRAVITY, **client)
     p.setPhysicsEngineParameter(
         fixedTimeStep=SLICE,
@@ -154,7 +154,7 @@ def _chassis_shape(client: Client, room: Room) -> int:
     """Return a box with a skid under its front and its back; the frame is at the wheels' axle."""
     half = room.chassis / 2
     skid_height = SKID_RADIUS + SKID_CLEARANCE - room.wheel_radius
-    # Lists, not tuples: the engine takes the process down otherwise.
+    # Lists, not tuples, which crash the process in the engine.
     shape: int = p.createCollisionShapeArray(
         [p.GEOM_BOX, p.GEOM_SPHERE, p.GEOM_SPHERE],
         halfExtents=[[half, half, CHASSIS_HEIGHT / 2], [0, 0, 0], [0, 0, 0]],

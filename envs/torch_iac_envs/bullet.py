@@ -19,11 +19,11 @@ STREAMS = 1, 2
 
 @contextmanager
 def _mute() -> Iterator[None]:
-    """Lead what C writes to stdout and stderr to nowhere."""
+    """Discard what C code writes to stdout and stderr."""
     c = ctypes.CDLL(None)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     kept = {stream: os.dup(stream) for stream in STREAMS if _is_open(stream)}
-    c.fflush(None)  # C keeps what it writes, and would write it later
+    c.fflush(None)  # C buffers its output, and would write it later
     for stream in kept:
         os.dup2(nowhere, stream)
     try:

@@ -5,7 +5,7 @@ Numbers of one kind lie side by side, worlds last.
 
 A world's results are the same to the last bit however many others there are, however many threads
 work, and on every processor: the room uses only operations of which IEEE 754 says what they give,
-and never adds up more than two numbers but in turn. `elementary` has what goes beyond them.
+and adds up more than two numbers one after the other. `elementary` has what goes beyond them.
 """
 
 import math
@@ -37,7 +37,7 @@ TOY_BOUNCE = 0.65
 loses speed when it keeps a fast toy from tunnelling; of 0.4 to 1, this comes nearest to where the
 engine's toys land."""
 N_BOUNCES = 32
-"""After that many a toy is at rest: it has a millionth of its speed."""
+"""Bounces after which a toy is at rest: it has a millionth of its speed."""
 
 State = dict[str, Tensor]
 """What `get_state` returns; it says the shapes."""
@@ -156,7 +156,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         seed: int | Sequence[int] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Tensor, dict[str, Any]]:
-        """Put every robot and toy anywhere in its room and return what the robots sense.
+        """Place every robot and toy at random in its room and return what the robots sense.
 
         Args:
             seed: One for each world, or that of the first world, from which the others count up.
@@ -182,7 +182,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
     def step(
         self, actions: Tensor | NDArray[Any]
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
-        """Live through one decision in every world.
+        """Take one decision in every world.
 
         Args:
             actions: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(A, 3)`.
@@ -211,7 +211,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
     def render(self) -> tuple[Picture, ...] | None:
         """Return a picture of each world, shape `(height, width, 3)`, if the mode is so.
 
-        Robots and toys are put into the room of `ToyRoom` to be seen.
+        Robots and toys are drawn in the room of `ToyRoom`.
 
         Raises:
             RuntimeError: The worlds were not reset.
@@ -219,7 +219,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         if self.render_mode is None:
             return None
         self._check_started("render")
-        from torch_iac_envs.physics import Physics, resting_state  # an engine, needed here only
+        from torch_iac_envs.physics import Physics, resting_state  # slow to import
 
         if self._camera is None:
             self._camera = Physics(self.room, 0, 1, picture_size=self._picture_size)
@@ -232,13 +232,13 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         return tuple(pictures)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Give the camera back."""
+        """Close the camera's engine."""
         del kwargs
         if self._camera is not None:
             self._camera.close()
 
     def get_state(self) -> State:
-        """Return all that the future depends on, as a dict of tensors.
+        """Return the whole state, as a dict of tensors.
 
         `robot` holds each robot's x, y (m) and heading (rad), shape `(A, 3)`; `toy` each toy's x
         and y (m), shape `(A, 2)`; `seeds` the worlds' seeds, shape `(A,)`; `moment` how often
@@ -299,7 +299,7 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
                 f"actions must have shape {(self.num_envs, 3)}, got {tuple(actions.shape)}"
             )
         low, high = self._action_bounds
-        # Not-a-number equals nothing, itself included.
+        # NaN equals nothing, itself included.
         if self._check_actions and not torch.equal(actions.clamp(low, high), actions):
             _refuse(actions.cpu())
         return actions.T.contiguous()
@@ -361,7 +361,7 @@ def drive(room: Room, position: Tensor, heading: Tensor, speeds: Tensor) -> tupl
         heading: Anticlockwise from the x axis, shape `(A,)` (rad).
         speeds: Left and right wheel's speed, as a share of full speed, shape `(W, A)`.
     """
-    if position.device.type != "cpu":  # a GPU is not asked; that would wait for all before
+    if position.device.type != "cpu":  # not checked on a GPU, which would have to wait
         return _drive_among_walls(room, position, heading, speeds)
     end, end_heading, touches = _drive_freely(room, position, heading, speeds)
     near = touches.nonzero()[:, 0]
@@ -375,7 +375,7 @@ def drive(room: Room, position: Tensor, heading: Tensor, speeds: Tensor) -> tupl
 def _drive_freely(
     room: Room, position: Tensor, heading: Tensor, speeds: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what `drive` does, were there no walls, and who then touches some, shape `(A,)`.
+    """Return the result of `drive` without walls, and which robots would touch one, shape `(A,)`.
 
     All slices are computed at once.
     """
@@ -409,7 +409,7 @@ class _Pose(NamedTuple):
 def _drive_among_walls(
     room: Room, position: Tensor, heading: Tensor, speeds: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return what `drive` does, slice by slice."""
+    """Return the result of `drive`, computed slice by slice."""
     n_slices, n_driven = _n_slices(room)
     driven = speeds * (room.full_speed * SLICE)
     gain = layout.ACCELERATION * SLICE**2

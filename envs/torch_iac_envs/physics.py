@@ -1,4 +1,4 @@
-"""What happens in the toy room, by pybullet: moving, sensing, drawing, and its exact state."""
+"""The toy room's physics by pybullet: moving, sensing, drawing, and exact states."""
 
 import math
 import time
@@ -25,7 +25,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Command:
-    """What happens in one decision, noise included; the engine's only input.
+    """The command of one decision, noise included; the engine's only input.
 
     Attributes:
         left: Left wheel's speed, as a share of full speed.
@@ -86,7 +86,7 @@ class Physics:
         room: The room's measures.
         n_beams: Number of infra-red beams.
         substeps: Physics steps in a tenth of a second.
-        window: Whether to open a window and let time pass as it does outside.
+        window: Whether to open a window and run in real time.
         picture_size: Width and height of its pictures (pixels).
 
     Raises:
@@ -115,7 +115,7 @@ class Physics:
             self._arrange_window()
 
     def close(self) -> None:
-        """Give the client back, once."""
+        """Disconnect the client, once."""
         if self._open:
             p.disconnect(**self._client)
         self._open = False
@@ -146,7 +146,7 @@ class Physics:
         return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
     def advance(self, command: Command, film: list[Picture] | None = None) -> None:
-        """Let one decision happen; at its end the robot stands and the toy all but stands.
+        """Simulate one decision; at its end the robot stands and the toy almost stands.
 
         Args:
             command: What happens.
@@ -209,7 +209,7 @@ class Physics:
         p.resetDebugVisualizerCamera(0.95 * self._room.side, 0, -55, (0, -0.08, 0), **self._client)
 
     def _show(self, on: bool) -> None:
-        """Let the window follow, or spare it the sight of a room being rebuilt."""
+        """Turn the window's drawing on, or off while the room is rebuilt."""
         if self._window:
             p.configureDebugVisualizer(p.COV_ENABLE_RENDERING, int(on), **self._client)
 

@@ -1,4 +1,4 @@
-"""Random numbers of many worlds at once: a pure function of a world's seed and of the moment.
+"""Random numbers of many worlds: a pure function of a world's seed and of a counter, the moment.
 
 A counter-based generator: no state but the moment's number, and a world's numbers do not depend on
 how many others there are. Integers make the uniform numbers, which are the same on every device.
@@ -18,7 +18,7 @@ MIX_1 = -0x40A7B892E31B1A47
 MIX_2 = -0x6B2FB644ECCEEE15
 """SplitMix64's factors, as signed 64-bit integers."""
 WORLD = 0x746F79726F6F6D
-"""Keeps a world's numbers apart from those an agent draws from its seed."""
+"""Makes a world's numbers independent of those that an agent draws from the same seed."""
 UNIT_BITS = 24
 """How many random bits a number has."""
 

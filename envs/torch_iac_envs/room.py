@@ -1,4 +1,4 @@
-"""The toy room's measures, and what its actions and sensors are called; no physics engine here.
+"""The toy room's measures, and the names of its actions and sensors.
 
 Lengths are in metres, times in seconds, angles in radians. Every version of the toy room reads
 these numbers, so that their worlds agree.
@@ -138,8 +138,7 @@ RANGES = {
     "width": (1, 4096),
     "height": (1, 4096),
 }
-"""How small and how large arguments of a world may be: far beyond any use, and before an engine
-gives up."""
+"""Limits of a world's arguments: far beyond any use, and before an engine fails."""
 
 
 def check_argument(name: str, value: float) -> None:

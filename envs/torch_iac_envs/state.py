@@ -1,4 +1,4 @@
-"""What a world saves to be resumed, as plain arrays."""
+"""The parts of a world's saved state, as plain arrays."""
 
 from dataclasses import astuple
 

@@ -29,8 +29,8 @@ class ToyRoom(gym.Env[Observation, Action]):
     """A two-wheeled robot and a toy that obeys its sounds, in a square room, by pybullet.
 
     An action sets the two wheels' speeds and the frequency of a sound for one decision, at the end
-    of which the robot stands again. With a sound of at most 1/3 (f1) the toy dashes off in a
-    random direction and bounces off the walls; at most 2/3 (f2) it stops; above (f3) it jumps
+    of which the robot stands again. With a sound of at most 1/3 (f1) the toy moves off fast in
+    a random direction and bounces off the walls; at most 2/3 (f2) it stops; above (f3) it jumps
     into the robot. `info["zone"]` says which (0, 1, 2), for analysis: it is no sensor.
 
     The names of the actions and of the sensors are in `metadata`, under `"action_names"` and
@@ -150,7 +150,7 @@ class ToyRoom(gym.Env[Observation, Action]):
         return self._sense(), {}
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Live through one decision.
+        """Take one decision.
 
         Args:
             action: Left wheel and right wheel in [-1, 1], sound in [0, 1]; shape `(3,)`.
@@ -185,11 +185,11 @@ class ToyRoom(gym.Env[Observation, Action]):
         return self._physics.picture() if self._film is None else list(self._film)
 
     def close(self) -> None:
-        """Give the physics back; closing twice does no harm."""
+        """Close the physics engine; closing twice is allowed."""
         self._physics.close()
 
     def get_state(self) -> State:
-        """Return all that the future depends on, as a dict of arrays.
+        """Return the whole state, as a dict of arrays.
 
         `keyframe` is the physical state at the last keyframe, shape `(30,)`; `commands` are the
         decisions since, noise included, shape `(n, 5)`; `random` is the random numbers' state,
@@ -211,8 +211,8 @@ class ToyRoom(gym.Env[Observation, Action]):
     def set_state(self, state: State) -> None:
         """Go on from what `get_state` returned, exactly; the arguments must be the same as then.
 
-        The physics is rebuilt at the keyframe and the decisions since are lived through again.
-        An env made by `gymnasium.make` wants to be reset before, as ever.
+        The physics is rebuilt at the keyframe and the decisions since are simulated again.
+        An environment made by `gymnasium.make` must be reset first.
 
         Raises:
             ValueError: There are more commands than fit between two keyframes.
@@ -257,7 +257,7 @@ class ToyRoom(gym.Env[Observation, Action]):
         for name, value, low, high in zip(
             layout.ACTION_NAMES, checked, layout.ACTION_LOW, layout.ACTION_HIGH, strict=True
         ):
-            if not low <= value <= high:  # not-a-number compares false too
+            if not low <= value <= high:  # NaN compares false too
                 raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value}")
         return checked
 

@@ -1,8 +1,8 @@
-"""Means, differences and probabilities of improvement, each with what chance leaves open.
+"""Means, differences and probabilities of improvement, with bootstrap intervals.
 
 Intervals are of 95 %, by the percentile bootstrap over robots; the same values give the same
-interval. With few robots they are too narrow: those of five hold the truth in about 84 cases
-of 100.
+interval. With few robots they are too narrow: those of five robots cover the true
+value in about 84 of 100 cases.
 
 Source: Agarwal, Schwarzer, Castro, Courville and Bellemare (2021), "Deep Reinforcement Learning at
 the Edge of the Statistical Precipice".
@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 N_RESAMPLES = 5000
-"""How many times the bootstrap draws robots anew."""
+"""Number of bootstrap resamples."""
 
 BATCH = 2_000_000
-"""How many values it holds at once."""
+"""Values per batch of resamples, which bounds memory."""
 
 Values = NDArray[np.float64]
-"""What robots did, one number each along the last axis, in any units."""
+"""One number for each robot along the last axis, in any units."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Estimate:
     """A number and its interval.
 
     Attributes:
-        value: The number; NaN if there are no robots to take it from.
+        value: The number; NaN without robots.
         low: The lower end of its interval; NaN with less than two robots.
         high: The upper end.
-        n: From how many robots, or pairs of robots, it is.
+        n: Number of robots, or of pairs of robots.
     """
 
     value: float
@@ -43,7 +43,7 @@ class Estimate:
 
 
 def mean(values: Values) -> Estimate:
-    """Return the mean of what robots did, shape `(n,)`."""
+    """Return the mean of values, shape `(n,)`."""
     return _estimate(_mean, values)
 
 

@@ -38,13 +38,13 @@ LEAST_PURITY = 2 / 3
 """A region has the colour of a zone if so many of its decisions were in it."""
 
 DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
-"""How deciles look."""
+"""Style of the curve of deciles."""
 
 MAX_POINTS = 400
 """A curve is drawn with at most so many points."""
 
 N_RESAMPLES = 1000
-"""How many times the bootstrap draws agents anew."""
+"""Number of bootstrap resamples."""
 
 
 def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
@@ -130,7 +130,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
         window: Over how many decisions shares are taken; a shorter run is one window.
 
     Raises:
-        ValueError: The world has no zones, or the window is none that was kept.
+        ValueError: The world has no zones, or no windows of that size were kept.
 
     Source: Oudeyer and Kaplan (2004), figure 3.
     """
@@ -160,7 +160,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
 
 
 def draw_errors(run: Run, window: int = WINDOW) -> Figure:
-    """Return how the mean errors of the experts and of their shadows went, zone by zone.
+    """Return the mean errors of the experts and of their shadows over time, zone by zone.
 
     All predict the same decisions. Means are over agents, on a logarithmic axis, in scaled units.
 
@@ -169,7 +169,7 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
         window: Over how many decisions errors are averaged; a shorter run is one window.
 
     Raises:
-        ValueError: The window is none that was kept.
+        ValueError: No windows of that size were kept.
     """
     window = min(window, run.n_decisions)
     names = run.zone_names or ("",)

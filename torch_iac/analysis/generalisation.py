@@ -1,4 +1,4 @@
-"""How well robots predict what they did not choose to see: the generalisation test.
+"""The generalisation test: how well robots predict transitions that they did not choose.
 
 Transitions are set aside that no robot learns from; now and then all robots predict them.
 
@@ -27,7 +27,7 @@ from torch_iac.space import SensorimotorSpace
 from torch_iac.worlds.make import make_world
 
 PATIENCE = 1000
-"""So many decisions for each transition are waited for a zone."""
+"""Decisions per transition after which a zone counts as not met."""
 
 F2 = 1
 """The zone that is hard and can be learnt."""
@@ -42,12 +42,12 @@ TEST_SEED = 1_000_000
 """Seeds the test sets; no robot has it."""
 
 TESTS = "generalisation.parquet"
-"""What a run folder keeps the generalisation tests in."""
+"""File of the generalisation tests in a run folder."""
 
 
 @dataclass(frozen=True)
 class Transitions:
-    """What came of actions; raw units, float32.
+    """Sensors, actions and the outcomes that followed; raw units, float32.
 
     Attributes:
         actions: Shape `(N, action_dim)`.
@@ -69,7 +69,7 @@ class TestErrors:
         squared: Shape `(A,)`, the mean squared error.
     """
 
-    __test__ = False  # it is none of pytest's
+    __test__ = False  # keeps pytest from collecting it
 
     absolute: NDArray[np.float64]
     squared: NDArray[np.float64]
@@ -84,11 +84,11 @@ def collect(
     zone: int | None = None,
     anew: bool = False,
 ) -> Transitions:
-    """Return what comes of uniformly random actions.
+    """Return transitions under uniformly random actions.
 
     Args:
         env: One world or more; none whose episodes end by themselves.
-        space: What is an outcome there.
+        space: Which sensors are outcomes.
         n_transitions: How many are returned.
         seed: Seeds the worlds and the actions.
         zone: Only transitions in this zone, by its number in `info["zone"]`; all if none is given.
@@ -134,7 +134,7 @@ def errors_on(transitions: Transitions, agent: IAC) -> TestErrors:
 
 
 def plateau(errors: NDArray[np.float64], n_tests: int, variance: float) -> NDArray[np.float64]:
-    """Return the first test from which on errors hardly change; NaN where they never cease to.
+    """Return the first test from which on errors hardly change; NaN if they never settle.
 
     Args:
         errors: Shape `(P, A)`.
@@ -181,10 +181,10 @@ def record_tests(agent: IAC, sets: Mapping[str, Transitions], folder: Path) -> N
 
 
 def sets_aside(world: str, options: Mapping[str, Any]) -> dict[str, Transitions]:
-    """Return what is set aside in a toy room: transitions in f2, of two kinds.
+    """Return the test sets of a toy room: transitions in f2, of two kinds.
 
     Args:
-        world: What an experiment calls it.
+        world: Its name in an experiment.
         options: Its arguments.
     """
     env = make_world(world, 1, options, torch.device("cpu"))

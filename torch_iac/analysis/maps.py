@@ -1,4 +1,4 @@
-"""Maps of a robot's regions: where they lie in a plane, and which came of which."""
+"""Maps of a robot's regions: slices through the space, and the tree."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,16 +24,16 @@ SHADES = LinearSegmentedColormap.from_list("progress", ["#ffffff", "#8c8c8c"])
 
 STAR: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "none"}
 DOT: dict[str, Any] = {"marker": ".", "markersize": 3, "linestyle": "none"}
-"""How the decision that is being chosen looks, and how those before it do."""
+"""Marker styles of the decision itself and of those before it."""
 
 PANELS_A_ROW = 3
-"""How many planes stand side by side."""
+"""Panels in a row."""
 
 PANEL = 2.3
 """Inches: the height of a row of panels."""
 
 MOST_LABELS = 5
-"""The tree says what the first so many cuts were."""
+"""The tree has labels for the first cuts, this many."""
 
 
 def draw_partition(
@@ -83,7 +83,7 @@ def draw_partition(
 
 
 def draw_tree(run: Run, agent: int = 0) -> Figure:
-    """Return which region came of which, from left to right in time.
+    """Return a drawing of the tree of regions, from left to right in time.
 
     A region is a line from its birth to its split or the end of the run; where it splits, what lies
     below the cut goes down. The colours are those of figure 2.
@@ -193,7 +193,7 @@ def _end(row: Mapping[str, Any], run: Run) -> int:
 
 
 def _draw_splits(axes: Axes, family: Sequence[Mapping[str, Any]], heights: Sequence[float]) -> None:
-    """Join children to their parents, and say what the first cuts were."""
+    """Draw lines from parents to children, and label the first cuts."""
     for row in family[1:]:
         ends = [heights[row["parent"]], heights[row["region"]]]
         axes.plot([row["born_step"]] * 2, ends, color=MIXED_COLOUR, linewidth=0.6, zorder=0)

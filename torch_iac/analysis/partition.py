@@ -83,7 +83,7 @@ class Partition:
 
 
 def partition_of(run: Run, step: int | None = None, agent: int = 0) -> Partition:
-    """Return how an agent's space was divided when it chose a decision, and what it knew of it.
+    """Return an agent's regions when it chose a decision, and their progress then.
 
     Args:
         run: The run.
@@ -122,7 +122,7 @@ def situation_at(run: Run, step: int, agent: int = 0) -> dict[str, float]:
 
 
 def _is_leaf(row: Mapping[str, Any], step: int) -> bool:
-    """Return whether a region was there, and whole, when a decision was chosen."""
+    """Return whether a region existed, and was not split yet, when a decision was chosen."""
     is_born = row["parent"] < 0 or row["born_step"] < step
     return bool(is_born and (row["split_step"] < 0 or row["split_step"] >= step))
 

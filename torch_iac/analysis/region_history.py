@@ -1,4 +1,4 @@
-"""How the regions of a run went: errors, bounds, zones and descent.
+"""Regions of a run over time: errors, bounds, zones and ancestors.
 
 Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regions of an agent, `P`
 points of a curve.
@@ -22,8 +22,8 @@ def leaf_purity(run: Run, zones: NDArray[np.integer[Any]] | None = None) -> NDAr
 
     Args:
         run: A run in a world with zones.
-        zones: The zone of each decision, shape `(T, A)`, if not as they were; shuffled ones show
-            what chance makes of as many leaves.
+        zones: The zone of each decision, shape `(T, A)`, as recorded by default; shuffled ones
+            show the purity of as many leaves by chance.
 
     Returns:
         Shape `(A,)`, of the recorded agents.
@@ -43,7 +43,7 @@ def leaf_purity(run: Run, zones: NDArray[np.integer[Any]] | None = None) -> NDAr
 
 @dataclass(frozen=True)
 class ErrorCurve:
-    """How the mean error of a region went, from its birth to its split or the end of the run.
+    """The mean error of a region from its birth to its split or the end of the run.
 
     Attributes:
         region: Which region.

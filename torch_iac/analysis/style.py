@@ -1,4 +1,4 @@
-"""What all pictures share: colours, sizes, axes, legends, and how they are saved."""
+"""Common style of all figures: colours, sizes, axes, legends, and how they are saved."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,13 +15,13 @@ COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D
 """Black, orange, sky blue, bluish green, reddish purple, blue, vermillion."""
 
 LINES = ("-", "--", ":", "-.")
-"""How lines look, for each time that the colours are used up."""
+"""Line styles, one for each cycle through the colours."""
 
 DPI = 220
-"""Dots an inch."""
+"""Dots per inch."""
 
 PANELS_A_ROW = 3
-"""How many panels stand side by side where there is one a measure."""
+"""Panels in a row where each measure has one."""
 
 ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Vermillion, blue, bluish green, reddish purple, orange, sky blue: zone after zone."""
@@ -51,7 +51,7 @@ STYLE: dict[Any, Any] = {
     "ytick.major.width": 0.6,
     "pdf.fonttype": 42,  # text stays text
 }
-"""How all figures look."""
+"""Matplotlib's settings for all figures."""
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -61,7 +61,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def time_axis(axes: Axes, n_decisions: int, n_ticks: int = 5) -> None:
-    """Let a panel's horizontal axis be time."""
+    """Make the horizontal axis of a panel time."""
     axes.set_xlim(0, n_decisions)
     axes.xaxis.set_major_locator(MaxNLocator(n_ticks, steps=[1, 2, 5, 10], integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")

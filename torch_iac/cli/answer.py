@@ -1,4 +1,4 @@
-"""What `torch-iac train` says when a run has ended."""
+"""The lines that `torch-iac train` prints at the end of a run."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,12 +9,12 @@ from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
 
 OFTEN_CLIPPED, N_CLIPPED_SHOWN = 0.01, 3
-"""The report speaks of sensors that are clipped in such a share of the decisions, and names a few.
+"""Sensors clipped in a larger share of the decisions are reported, and so many named.
 """
 
 
 def report_of(run: Run) -> str:
-    """Return in words what the robots did, and where to look."""
+    """Return the lines: what the robots did, and where to look."""
     summary = run.summary
     who = "The robot" if run.n_agents == 1 else f"Each of {run.n_agents:,} robots"
     lines = [

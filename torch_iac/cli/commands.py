@@ -1,4 +1,4 @@
-"""What the commands but `torch-iac train` can be told; it is read without what carries them out."""
+"""Options of all commands but `torch-iac train`; parsing them does not import PyTorch."""
 
 import os
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class Resume:
 class Compare:
     """Let robots of several variants develop, seed by seed, and report how they differ.
 
-    Words after -- are options of torch-iac train for all runs. The same command, or just the
+    Options after -- are options of torch-iac train for all runs. The same command, or just the
     folder, goes on with what is not done; more variants or more seeds can be asked for at any time.
     """
 
@@ -41,9 +41,9 @@ class Compare:
     """The folder of all the runs and of the report."""
     variant: Annotated[tuple[str, ...], REPEATED] = ()
     """A variant, as "NAME: WORDS", the words being options of torch-iac train; once for each. The
-    first is what others are compared with."""
+    others are compared with the first."""
     variants: Path | None = None
-    """A JSON file with variants: under each name its words, as a list or as one text."""
+    """A JSON file with variants: under each name its options, as a list or as one text."""
     seeds: int | None = None
     """How many robots of each variant; by default as many as before, at first 10."""
     seed: int | None = None
@@ -55,9 +55,9 @@ class Compare:
     """How many runs go on at once on this machine; by default one for each core that this
     process may use."""
     ray: str | None = None
-    """The address of a Ray cluster that shall carry the runs out instead, or auto."""
+    """The address of a Ray cluster to use instead, or auto."""
     gpus: float = 0.0
-    """Which part of a GPU each run gets on Ray."""
+    """Fraction of a GPU that each run gets on Ray."""
     only: str | None = None
     """Only part I of N of the runs, written I/N, and no report: for the tasks of an array job."""
 
@@ -79,7 +79,7 @@ class Figures:
 class Replay:
     """Film a robot of a run at stages of its development, with what it predicts and learns.
 
-    Its world is made again, and its recorded actions happen again.
+    Its world is made again, and its recorded actions are repeated.
 
     Raises:
         ValueError: `decisions` is below 1 or too large.
@@ -102,7 +102,7 @@ class Replay:
 
 
 Options = Resume | Compare | Figures | Replay
-"""What any of these commands was told."""
+"""The parsed options of any of these commands."""
 
 KINDS: dict[str, type[Options]] = {
     "resume": Resume,
@@ -119,11 +119,11 @@ USAGE = {
     "figures": "RUN_FOLDER [OPTION ...]",
     "replay": "RUN_FOLDER [OPTION ...]",
 }
-"""What follows each command."""
+"""Usage of each command, after its name."""
 
 
 def parse(words: Sequence[str]) -> Options:
-    """Return what one of these commands was told; help ends the program.
+    """Parse the options of one of these commands; help ends the program.
 
     Args:
         words: The command's name and its options.

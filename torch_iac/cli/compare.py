@@ -26,11 +26,11 @@ from torch_iac.internal.stop_signals import stopping
 from torch_iac.internal.validation import check_count
 
 OWN_WORDS = ("--seed", "--agents", "--out")
-"""What a comparison itself says to each of its runs."""
+"""Options that a comparison itself sets for each of its runs."""
 
 
 def compare(asked: Compare, words: Sequence[str]) -> None:
-    """Carry `torch-iac compare` out; `words` are options for all runs.
+    """Run `torch-iac compare`; `words` are options for all runs.
 
     Raises:
         StoppedBySignalError: It was asked to stop, and the runs have saved themselves.
@@ -43,7 +43,7 @@ def compare(asked: Compare, words: Sequence[str]) -> None:
 
 
 def _comparison(asked: Compare, words: Sequence[str]) -> Comparison:
-    """Return what the folder holds, if anything, and what is asked for besides."""
+    """Return the comparison in the folder, if any, grown by what is asked for."""
     check_count("processes", asked.processes)
     check_words(words, "a comparison")
     described = _in_file(asked.variants) if asked.variants else {}
@@ -105,7 +105,7 @@ def _words(name: str, of: Any) -> Sequence[str]:
 
 
 def check_words(words: Sequence[str], whose: str) -> None:
-    """Refuse words that a comparison itself says to each of its runs.
+    """Refuse options that a comparison itself sets for each of its runs.
 
     Raises:
         ValueError: One is among them.
@@ -147,7 +147,7 @@ def _part(jobs: Sequence[Job], asked: Compare) -> Sequence[Job]:
 
 
 def _answer(asked: Compare, comparison: Comparison) -> None:
-    """Report, and say where, and which runs failed."""
+    """Write the report; print its path, and which runs failed."""
     from torch_iac.compare.report import save_report  # with scipy and matplotlib
 
     mine = _part(comparison.jobs(), asked)

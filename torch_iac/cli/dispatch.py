@@ -1,4 +1,4 @@
-"""Carries a command out, and ends the program where it must."""
+"""Runs a command, and turns errors and stop signals into exit codes."""
 
 import logging
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from torch_iac.cli.train import resume, train
 
 
 def draw(asked: Figures) -> None:
-    """Carry `torch-iac figures` out."""
+    """Run `torch-iac figures`."""
     from torch_iac.analysis.figures import save_figures  # with matplotlib
 
     for path in save_figures(asked.run_folder, pdf=asked.pdf):
@@ -22,14 +22,14 @@ def draw(asked: Figures) -> None:
 
 
 def run(asked: Train | Options, words: Sequence[str]) -> None:
-    """Carry a command out; what ends it early ends the program.
+    """Run a command; errors and stop signals end the program with an exit code.
 
     Args:
-        asked: What it was told.
+        asked: Its options.
         words: What the user typed after `torch-iac`.
     """
     logging.basicConfig(format="%(message)s")
-    logging.getLogger("torch_iac").setLevel(logging.INFO)  # not what other libraries have to say
+    logging.getLogger("torch_iac").setLevel(logging.INFO)  # no log lines of other libraries
     try:
         if isinstance(asked, Train):
             train(asked, ["torch-iac", *words])

@@ -1,11 +1,11 @@
-"""How commands end: by a signal, and errors in one line."""
+"""How commands end: stop signals, and errors in one line."""
 
 import sys
 from typing import NoReturn
 
 
 class StoppedBySignalError(Exception):
-    """A command was asked to stop, and did so; the sentence says how to go on.
+    """A command was stopped by a signal; the message says how to go on.
 
     Attributes:
         signal: The number of the signal that asked.

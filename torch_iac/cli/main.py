@@ -1,4 +1,4 @@
-"""The program `torch-iac`: it answers at once what can be answered without PyTorch."""
+"""The program `torch-iac`; help and mistyped words are answered without importing PyTorch."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command.
 
-    An error that the user can mend is one sentence, with exit code 2; Ctrl-C exits with 130, a
+    An error that the user can fix is one sentence, with exit code 2; Ctrl-C exits with 130, a
     request to terminate with 143.
 
     Args:
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         print(f"torch-iac {__version__}")  # noqa: T201 - the command's answer
     else:
-        # Whoever calls this as a function would not want to be ended with it.
+        # Only a program may be ended by it, not a caller of this function.
         with _ended_by_ctrl_c() if arguments is None else nullcontext():
             options = _options(words)
             from torch_iac.cli.dispatch import run
@@ -67,7 +67,7 @@ def _help() -> str:
 
 
 def _options(words: Sequence[str]) -> "Train | Options":
-    """Return what a command was told; what is refused ends the program."""
+    """Parse the options of a command; a refused one ends the program."""
     try:
         check_command(words[0] if words else "none", list(COMMANDS))
         if words[0] == "train":

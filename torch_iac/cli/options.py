@@ -48,15 +48,16 @@ class Train:
     """
 
     world: str = "toyroom"
-    """Where the robots live: toyroom, simulated by pybullet; kinematic, its twin in plain
-    arithmetic, for thousands of robots at once; or what Gymnasium calls a world, such as
-    Pendulum-v1 or module:id."""
+    """The environment: toyroom, simulated by pybullet; kinematic, the same room in plain
+    arithmetic, for thousands of robots at once; or an id of Gymnasium, such as Pendulum-v1
+    or module:id."""
     experts: str = "knn"
     """What predicts in each region: knn, mlp, hybrid (both in each region), or module:Name, experts
     or a network of your own. Its options are among those below."""
     drive: str = "progress"
-    """What the robot wants: progress, meta_progress, absolute_progress, global_progress, error,
-    novelty, improvement, curriculum, random, or module:Name, a drive of your own."""
+    """What a candidate action is worth: progress, meta_progress, absolute_progress,
+    global_progress, error, novelty, improvement, curriculum, random, or module:Name, a drive of
+    your own."""
     choice: str = "greedy"
     """Which candidate action is taken, given what each is worth: greedy, proportional, softmax, or
     module:Name."""
@@ -69,7 +70,7 @@ class Train:
     out: Path | None = None
     """The run folder; by default a new one in runs/, named by the time."""
     device: str = "cpu"
-    """Where the robots think and the kinematic world is: cpu, cuda, cuda:1, ... or auto (cuda if
+    """Device of the robots and of the kinematic world: cpu, cuda, cuda:1, ... or auto (cuda if
     there is one)."""
     shadows: tuple[str, ...] = ()
     """Other experts, which predict and learn on the same stream without any influence."""
@@ -87,17 +88,17 @@ class Train:
     hold: int = 1
     """For how many steps of the world each action is held."""
     sensor_bounds: tuple[str, ...] = ()
-    """Bounds of sensors, such as sensor_4=-10,10; what reads beyond is taken for the bound."""
+    """Bounds of sensors, such as sensor_4=-10,10; readings beyond are clipped."""
     bounds_from: int = 1000
-    """Sensors that have no bounds get those of what they read in so many random decisions, and a
-    tenth more on either side."""
+    """How many random decisions find bounds for sensors without any: the range of their readings,
+    and a tenth of it more on either side."""
     log_every: int = 100
     """How many decisions lie between two logs to TensorBoard; more after the first 1,000 logs."""
     recorded_rows: int = 20_000_000
     """Every decision of every robot is recorded if that makes at most so many rows, of about 65
     bytes each on disk; otherwise those of the first robots only, and window sums of all."""
     recorded_agents: int = 64
-    """How many those first robots are."""
+    """The number of those first robots."""
     checkpoint_every: int = CHECKPOINT_EVERY
     """How many decisions lie between two checkpoints, or more where they would take over a
     twentieth of the time."""
@@ -133,7 +134,7 @@ class Train:
 
 
 _TEXTS = ("world_options", "sensor_bounds")
-"""What stands as texts in `Train` and as values in `Experiment`."""
+"""Fields that are texts in `Train` and values in `Experiment`."""
 
 
 def experiment_of(words: Sequence[str]) -> Experiment:
@@ -148,7 +149,7 @@ def experiment_of(words: Sequence[str]) -> Experiment:
 
 
 def parse_train(words: Sequence[str]) -> Train:
-    """Return what `torch-iac train` is told by its options; `--help` ends the program.
+    """Parse the options of `torch-iac train`; `--help` ends the program.
 
     Raises:
         ValueError: They are refused.
@@ -179,7 +180,7 @@ def is_network(experts: Any) -> TypeIs[NetworkExperts]:
 
 
 def _start(words: Sequence[str]) -> Train:
-    """Return what the choice of a file, a preset and of parts makes of the other options."""
+    """Return the defaults of all options, given the file, the preset and the parts."""
     parser = ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     for name in ("config", "preset", *KINDS):
         parser.add_argument(f"--{name}", nargs="?")  # a missing value is refused later

@@ -9,11 +9,11 @@ from torch_iac.toy_room import WORLDS
 from torch_iac.worlds.vector import World
 
 PICTURE_MODES = ("rgb_array_list", "rgb_array")
-"""How worlds draw pictures: of all moments of a decision, or of its end."""
+"""Render modes: pictures of all moments of a decision, or of its end."""
 
 
 def replay(asked: Replay) -> None:
-    """Carry `torch-iac replay` out.
+    """Run `torch-iac replay`.
 
     Raises:
         FileNotFoundError: The folder holds no run.

@@ -13,7 +13,7 @@ from torch_iac.internal.stop_signals import Stop, stopping
 
 
 def train(asked: Train, words: Sequence[str]) -> None:
-    """Carry `torch-iac train` out; `words` are what the user typed.
+    """Run `torch-iac train`; `words` are its options as typed.
 
     Raises:
         StoppedBySignalError: A signal asked it to stop, and it has saved itself.
@@ -24,7 +24,7 @@ def train(asked: Train, words: Sequence[str]) -> None:
 
 
 def resume(asked: Resume) -> None:
-    """Carry `torch-iac resume` out.
+    """Run `torch-iac resume`.
 
     Raises:
         StoppedBySignalError: A signal asked it to stop, and it has saved itself.

@@ -29,7 +29,7 @@ DECLARING = (
 """The modules whose classes have the options of `torch-iac train` as fields."""
 
 NO_OPTIONS = ("Candidates", "Knowledge")
-"""Classes there whose fields are no options: what drives look at."""
+"""Classes there whose fields are not options."""
 
 NAME = re.compile(r"--([a-z][\w.-]*)", re.IGNORECASE)
 """An option, without what may follow an equals sign."""
@@ -60,7 +60,7 @@ def check_command(word: str, commands: Sequence[str]) -> None:
 
 
 def check_options(words: Sequence[str]) -> None:
-    """Refuse options that `torch-iac train` has not, whatever else it is told.
+    """Refuse options that `torch-iac train` does not have.
 
     Raises:
         ValueError: There are such; the message says which were perhaps meant.

@@ -1,1 +1,1 @@
-"""Many runs: planned, carried out, compared and reported."""
+"""Comparisons of many runs: plan, execution, statistics and report."""

@@ -1,4 +1,4 @@
-"""Carries the runs of a comparison out: for the command, and for scripts and notebooks.
+"""Makes the runs of a comparison, for the command and for scripts and notebooks.
 
 ```python
 runs = run_variants("runs/drives", {"progress": Experiment(), "random": random}, n_seeds=10)
@@ -85,12 +85,12 @@ def complete(
     stop: Callable[[], bool],
     elsewhere: bool = False,
 ) -> bool:
-    """Carry out those runs of a comparison that are not done, once all are known to be possible.
+    """Make those runs of a comparison that are not done, after checking all of them.
 
     Args:
         comparison: Its plan is saved before the first run begins.
         jobs: The runs.
-        begin: Begins to carry runs out.
+        begin: Starts an executor with some runs.
         stop: Asked now and then whether to stop.
         elsewhere: Whether they will be on other machines, with devices of their own.
 
@@ -108,7 +108,7 @@ def complete(
 
 
 def _sizes(jobs: Sequence[Job], elsewhere: bool) -> dict[Job, int]:
-    """Return how many decisions the robots of each run take together, if all can be made.
+    """Return the number of decisions of all robots of each run, after checking the runs.
 
     Raises:
         ValueError: One cannot; the message names its variant.

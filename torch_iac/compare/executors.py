@@ -1,4 +1,4 @@
-"""Who carries out the runs of a comparison: processes of this machine, or a Ray cluster."""
+"""Executors of the runs of a comparison: processes of this machine, or a Ray cluster."""
 
 import logging
 import os
@@ -24,19 +24,19 @@ from torch_iac.internal.parts import make_importable
 from torch_iac.internal.stop_signals import stopping
 
 TICK = 1.0
-"""Seconds between two looks at how far the runs are."""
+"""Seconds between two updates of the progress."""
 
 SECONDS_BETWEEN_LINES = 30.0
-"""How often the log speaks where there is no terminal for a progress bar."""
+"""Seconds between two lines in the log, where there is no terminal for a progress bar."""
 
 SECONDS_TO_SAVE = 60.0
 """How long a run that is asked to stop may take to save itself."""
 
 RETRIES = 3
-"""How often Ray tries a run again whose process or machine was lost."""
+"""How often Ray retries a run whose process or machine was lost."""
 
 SECONDS_TO_ANSWER = 10.0
-"""How long a Ray cluster may take to answer at all."""
+"""Timeout (s) for a Ray cluster to answer."""
 
 RunJob = Callable[[Job], None]
 """Begins a run, or goes on with it; raises `KeyboardInterrupt` once it was asked to stop and has
@@ -64,7 +64,7 @@ def run_experiment(job: Job) -> None:
 
 
 def carry_out(sizes: Mapping[Job, int], jobs_ended: Ended, stop: Callable[[], bool]) -> bool:
-    """Carry runs out, and show how far it is and how long it will still take.
+    """Make runs with an executor, and show progress and the remaining time.
 
     Args:
         sizes: How many decisions the robots of each run take together.
@@ -83,7 +83,7 @@ def carry_out(sizes: Mapping[Job, int], jobs_ended: Ended, stop: Callable[[], bo
 
 
 def on_processes(jobs: Sequence[Job], live: RunJob, n_processes: int) -> Ended:
-    """Carry runs out in processes of this machine; one that dies takes only its own run with it.
+    """Make runs in processes of this machine; one that dies loses only its own run.
 
     Args:
         jobs: The runs.
@@ -110,13 +110,13 @@ def on_processes(jobs: Sequence[Job], live: RunJob, n_processes: int) -> Ended:
 
 
 def on_ray(jobs: Sequence[Job], live: RunJob, address: str, gpus: float = 0.0) -> Ended:
-    """Carry runs out on a Ray cluster, whose machines see the same folders; lost ones are retried.
+    """Make runs on a Ray cluster, whose machines see the same folders; lost ones are retried.
 
     Args:
         jobs: The runs, one task each.
         live: What makes a run.
         address: Where the cluster is, such as `auto` or `10.0.0.1:6379`.
-        gpus: Which part of a GPU each run gets.
+        gpus: Fraction of a GPU that each run gets.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -125,7 +125,7 @@ def on_ray(jobs: Sequence[Job], live: RunJob, address: str, gpus: float = 0.0) -
 
 
 def _tasks(ray: Any, jobs: Sequence[Job], live: RunJob, gpus: float) -> Ended:
-    """Hand the runs to Ray, and leave it in the end."""
+    """Submit the runs to Ray, and disconnect in the end."""
     task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=RETRIES)(_ray_task)
     running = {task.remote(job, live): job for job in jobs}
     try:
@@ -142,7 +142,7 @@ def _tasks(ray: Any, jobs: Sequence[Job], live: RunJob, gpus: float) -> Ended:
 
 
 def run_job(job: Job, live: RunJob) -> None:
-    """Carry out one run, unless it is done; what it says goes to its log, also why it failed."""
+    """Make one run, unless it is done; its output and any error go to its log."""
     if job.state == "done":
         return
     torch.set_num_threads(1)
@@ -156,13 +156,13 @@ def run_job(job: Job, live: RunJob) -> None:
                 live(job)
         except BlockingIOError as error:
             print(error, file=file)
-        except Exception as error:  # whatever it is, the others shall go on
+        except Exception as error:  # whatever it is, the other runs go on
             traceback.print_exc(file=file)
             job.fail(str(error) or type(error).__name__)
 
 
 class _Worker:
-    """A process that carries out one run after the other.
+    """A process that makes one run after the other.
 
     Attributes:
         process: The process.
@@ -171,7 +171,7 @@ class _Worker:
     """
 
     def __init__(self, live: RunJob) -> None:
-        context = get_context("spawn")  # a fork would share locks of threads that it does not have
+        context = get_context("spawn")  # a fork would copy locks held by threads, without them
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, live), daemon=True)
         with _sigint_ignored():
@@ -180,7 +180,7 @@ class _Worker:
         self.job: Job | None = None
 
     def give(self, job: Job) -> None:
-        """Give it a run to carry out."""
+        """Give it a run to make."""
         self.job = job
         self.connection.send(job)
 
@@ -197,7 +197,7 @@ class _Worker:
         return job
 
     def dismiss(self) -> None:
-        """Let it end, once its run, if it is at one, is saved."""
+        """Let it end, once its present run, if any, has saved itself."""
         self.connection.close()
         if self.job:
             self.process.terminate()
@@ -209,7 +209,7 @@ class _Worker:
 
 
 def _work(connection: Connection, live: RunJob) -> None:
-    """Carry out runs as they come, until end of input or a stop signal."""
+    """Make runs as they come, until end of input or a stop signal."""
     try:
         while True:
             run_job(connection.recv(), live)
@@ -219,7 +219,7 @@ def _work(connection: Connection, live: RunJob) -> None:
 
 
 def _ray_task(job: Job, live: RunJob) -> None:
-    """Carry out a run as a task of Ray; one that was asked to stop ends so that Ray retries it."""
+    """Make a run as a task of Ray; one that was asked to stop exits so that Ray retries it."""
     try:
         run_job(job, live)
     except KeyboardInterrupt:
@@ -246,10 +246,10 @@ def _connect(address: str) -> Any:
 
 
 def _check_reachable(address: str) -> None:
-    """Refuse an address where nobody listens: Ray itself would try for minutes.
+    """Refuse an address where nothing listens: Ray itself would try for minutes.
 
     Raises:
-        OSError: Nobody does.
+        OSError: Nothing does.
     """
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if colon and port.isdigit():
@@ -258,7 +258,7 @@ def _check_reachable(address: str) -> None:
 
 @contextmanager
 def _sigint_ignored() -> Iterator[None]:
-    """Let a process begin that Ctrl-C does not reach: it is told to stop when it is time."""
+    """Ignore SIGINT in processes started here; they are stopped by SIGTERM."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
@@ -282,7 +282,7 @@ def _speaking_to(file: IO[str]) -> Iterator[None]:
 
 
 class _Progress:
-    """Shows how far a comparison is: a bar on a terminal, else a line in the log now and then."""
+    """Shows the progress: a bar on a terminal, else a line in the log now and then."""
 
     def __init__(self, sizes: Mapping[Job, int]) -> None:
         self._sizes, self._running = sizes, list(sizes)
@@ -299,7 +299,7 @@ class _Progress:
         )
 
     def tell(self, ended: Sequence[Job]) -> None:
-        """Show where things are, now that some runs have ended."""
+        """Update the progress, now that some runs have ended."""
         self._running = [job for job in self._running if job not in ended]
         self._n_ended += sum(self._sizes[job] for job in ended)
         self._n_failed += sum(job.state == "failed" for job in ended)
@@ -313,7 +313,7 @@ class _Progress:
             log.info("%s%s", words, self._left(n_decisions, now - self._started))
 
     def close(self) -> None:
-        """Leave the bar as it is."""
+        """Close the bar."""
         self._bar.close()
 
     def _n_decisions(self) -> int:
@@ -338,7 +338,7 @@ def lock_file(log: IO[str]) -> Iterator[None]:
     """Keep other processes from the same run, by a lock on its log that no crash leaves behind.
 
     Raises:
-        BlockingIOError: Another process is at it.
+        BlockingIOError: Another process is making it.
     """
     if os.name == "posix":
         import fcntl

@@ -1,7 +1,7 @@
 """What TensorBoard's HParams page shows of a comparison: a row a run.
 
-The comparison's folder says which settings and measures there are, each run's folder what its are.
-They are in files of their own, so that they can be written anew.
+The comparison's folder declares settings and measures, each run's folder has their values. They are
+in files of their own, so that they can be rewritten.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,17 +37,17 @@ from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import EVENTS
 
 SUFFIX = ".hparams"
-"""How the names of these files end."""
+"""Suffix of the names of these files."""
 
 TAG = "measures/"
-"""How the tags of measures begin."""
+"""Prefix of the tags of measures."""
 
 Settings = Mapping[str, str | float]
-"""What a run was told, by name."""
+"""The settings of a run, by name."""
 
 
 def write_experiment(folder: Path, settings: Sequence[Settings], labels: Mapping[str, str]) -> None:
-    """Say which settings and measures there are.
+    """Declare settings and measures.
 
     Args:
         folder: The comparison's folder.
@@ -67,12 +67,12 @@ def write_experiment(folder: Path, settings: Sequence[Settings], labels: Mapping
 def write_session(
     folder: Path, settings: Settings, measures: Mapping[str, float], n_decisions: int
 ) -> None:
-    """Say what a run's settings and measures are.
+    """Write the settings and measures of a run.
 
     Args:
         folder: The run's folder.
         settings: Its settings.
-        measures: Its measures, under their names; NaN for those that it has not.
+        measures: Its measures, under their names; NaN for those that it lacks.
         n_decisions: How many decisions it took.
     """
     values = [
@@ -93,7 +93,7 @@ def write_session(
 
 
 def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
-    """Return of the numbers in each run's config those that are not the same in all runs."""
+    """Return the numbers in each run's config that differ between runs."""
     settings = [_settings(run) for run in runs]
     kept: dict[str, Sequence[str | float]] = {}
     for name in dict.fromkeys(name for of in settings for name in of):

@@ -1,4 +1,4 @@
-"""Variants times seeds: the runs of a comparison, where each is kept, and how far it is.
+"""Variants times seeds: the runs of a comparison, their folders and their states.
 
 A comparison is a folder. Its plan holds an experiment for each variant, and says which seeds; a run
 is a variant's experiment with some of the seeds.
@@ -20,19 +20,19 @@ from torch_iac.runs.schema import CONFIG, SUMMARY
 from torch_iac.runs.summary import N_AGENTS_LISTED
 
 PLAN = "comparison.json"
-"""What a comparison's folder keeps its plan in."""
+"""File of the plan in a comparison's folder."""
 
 FIGURES = "figures"
-"""Where it keeps its pictures; no variant can be called so."""
+"""Folder of its pictures; no variant can have this name."""
 
 MOST_SEEDS = 100_000
 """With more, even the list of runs would be too long."""
 
 NAME = re.compile(r"\w[\w.+=-]*")
-"""What a variant, and so a folder, can be called."""
+"""Names that a variant, and so a folder, can have."""
 
 State = Literal["done", "failed", "begun", "open"]
-"""How far a run is: at its end; stopped by an error; somewhere; nowhere."""
+"""State of a run: ended; stopped by an error; begun; not begun."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,9 @@ class Job:
         variant: The variant's name.
         seeds: The seed of each of its robots.
         folder: The run folder.
-        content: The experiment as JSON, since a process far away may have to find a user's own
-            parts first.
-        made_in: The folder that was the present one when the comparison was made.
+        content: The experiment as JSON, since another process may have to make the user's own
+            parts importable first.
+        made_in: The current folder when the comparison was made.
     """
 
     variant: str
@@ -103,12 +103,12 @@ class Job:
 
     @property
     def log(self) -> Path:
-        """Where it writes what it has to say."""
+        """Its log."""
         return self.folder.with_name(f"{self.folder.name}.log")
 
     @property
     def state(self) -> State:
-        """How far it is."""
+        """Its state."""
         if (self.folder / SUMMARY).exists():
             return "done"
         if self._failure.exists():
@@ -186,7 +186,7 @@ class Comparison:
     seed: int = 0
     block: int = 1
     made_in: str = field(default_factory=lambda: str(Path.cwd()))
-    """The folder that was the present one: where modules of a user's own are looked for."""
+    """The current folder then, where the user's own modules are searched."""
 
     def __post_init__(self) -> None:
         if not self.variants:
@@ -329,7 +329,7 @@ def plan_comparison(
     Raises:
         ValueError: Something is refused, or differs of which there are runs already.
     """
-    folder = folder.absolute()  # where the workers are, another may be the present one
+    folder = folder.absolute()  # the current folder of the workers may be another
     numbers = {"n_seeds": n_seeds, "seed": seed, "block": block}
     if (folder / PLAN).exists():
         return load_comparison(folder).grown(variants, words, **numbers)
@@ -364,7 +364,7 @@ def part_of(jobs: Sequence[Job], part: str) -> list[Job]:
 
 
 def count_states(jobs: Sequence[Job]) -> str:
-    """Return in words how many runs are how far."""
+    """Return in words how many runs are in each state."""
     words = {"done": "done", "failed": "failed", "begun": "half done", "open": "not begun"}
     states = [job.state for job in jobs]
     return ", ".join(f"{states.count(s)} {w}" for s, w in words.items() if s in states)

@@ -23,25 +23,25 @@ from torch_iac.runs.schema import WINDOW
 from torch_iac.runs.statistics import known_mean, summed_up
 
 EVERYWHERE = "everywhere"
-"""What all zones together are called."""
+"""Name of all zones together."""
 
 WIDTH = 7.0
 """Inches: the whole width of a page."""
 
 LEGEND_LETTERS = 90
-"""About how many letters a row of the legend holds."""
+"""Characters that fit into a row of the legend."""
 
 
 @dataclass(frozen=True)
 class Curves:
-    """How the runs of one variant went over time.
+    """Curves over time of the runs of one variant.
 
     Attributes:
         zone_names: The zones of their world.
         window: How many decisions each window has.
         shares: Shape `(W, S, Z)`: of the time, in each zone.
         errors: Shape `(W, S, 1 + Z)`: the mean error, in all and in each zone, in scaled units; NaN
-            where a robot was not there.
+            without decisions.
     """
 
     zone_names: tuple[str, ...]
@@ -51,7 +51,7 @@ class Curves:
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Self:
-        """Return the curves of runs of one variant, as far as all of them go."""
+        """Return the curves of runs of one variant, up to the shortest."""
         window = min(WINDOW, *(run.n_decisions for run in runs))
         kept = [summed_up(run, "error", window) for run in runs]
         n_windows = min(len(of.counts) for of in kept)
@@ -100,7 +100,7 @@ def draw_shares(curves: Mapping[str, Curves]) -> Figure:
 
 
 def draw_errors(curves: Mapping[str, Curves]) -> Figure:
-    """Return how the mean error of each variant goes, in all and in each zone.
+    """Return the mean error of each variant over time, in all and in each zone.
 
     On a logarithmic axis, in scaled units.
     """
@@ -121,7 +121,7 @@ def draw_improvements(panels: Mapping[str, Mapping[str, Estimate]]) -> Figure:
     """Return probabilities of improvement and their intervals.
 
     Args:
-        panels: Under what is measured, and under each pair of variants, how probably the first is
+        panels: For each measure, and each pair of variants, the probability that the first is
             better.
     """
     pairs = list(dict.fromkeys(pair for of in panels.values() for pair in of))
@@ -165,7 +165,7 @@ def _draw_lines(
 
 
 def _known_band(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the interval of each window's mean over the robots that were there."""
+    """Return the interval of each window's mean over the robots that have one."""
     ends = np.full((2, len(values)), np.nan)
     is_whole = np.isfinite(values).all(axis=1)
     if is_whole.any():
@@ -204,7 +204,7 @@ def _legend(figure: Figure, variants: Collection[str]) -> None:
 
 
 def _n_columns(variants: Collection[str]) -> int:
-    """Return how many variants stand side by side in the legend."""
+    """Return the number of columns of the legend."""
     longest = max(map(len, variants)) + 6  # with the line before it
     return max(1, min(len(variants), LEGEND_LETTERS // longest))
 

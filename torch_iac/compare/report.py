@@ -36,11 +36,11 @@ CURVES = "curves.parquet"
 """What the files of a report are called."""
 
 MOST_PAIRED = 4
-"""With more variants, the report sets each against the first only; the file has all pairs."""
+"""With more variants, the report compares each with the first only; the file has all pairs."""
 
 
 def save_report(comparison: Comparison) -> Path:
-    """Write what the runs that have ended tell, and return the report's path.
+    """Write the report of the runs that have ended, and return its path.
 
     Raises:
         ValueError: None has ended.
@@ -66,7 +66,7 @@ def save_report(comparison: Comparison) -> Path:
 
 
 def _shown(differences: Sequence[Difference], variants: Sequence[str]) -> list[Difference]:
-    """Return the differences that a reader can take in."""
+    """Return the differences that the report shows."""
     if len(variants) <= MOST_PAIRED:
         return list(differences)
     return [found for found in differences if found.one == variants[0]]

@@ -1,4 +1,4 @@
-"""What a comparison's runs tell: each robot's measures, and how variants differ in them."""
+"""Results of a comparison: each robot's measures, and how variants differ in them."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,12 +19,12 @@ Better = Literal["lower", "higher"]
 """Which values of a measure are better."""
 
 Row = dict[str, Any]
-"""What is known of a robot, by column."""
+"""The values of a robot, by column."""
 
 
 @dataclass(frozen=True)
 class Measure:
-    """Something that is known of each robot.
+    """A number that each robot has.
 
     Attributes:
         name: Its column.
@@ -41,7 +41,7 @@ class Measure:
     path: tuple[str, ...]
 
     def of(self, agent: Mapping[str, Any]) -> float:
-        """Return it for a robot of a summary; NaN if it has none."""
+        """Return it for a robot of a summary; NaN if missing."""
         found: Any = agent
         for name in self.path:
             found = (found or {}).get(name)
@@ -57,7 +57,7 @@ class Difference:
         one: The name of a variant.
         other: That of another.
         by: How much larger the mean of the one is.
-        improvement: How probably a robot of the one is better than one of the other; None if
+        improvement: Probability that a robot of the one is better than one of the other; None if
             neither direction is better.
     """
 

@@ -19,7 +19,7 @@ class Error:
     Raises:
         ValueError: `source` is neither "region" nor "meta".
 
-    Source: the naive curiosity that the 2004 paper warns of; with "region", MAX in Oudeyer, Kaplan
+    Source: the naive curiosity that the 2004 paper rejects; with "region", MAX in Oudeyer, Kaplan
     and Hafner (2007).
     """
 
@@ -50,7 +50,7 @@ class Novelty:
 
     in the unit cube; without any example it is infinite.
 
-    Source: the naive curiosity that the 2004 paper warns of.
+    Source: the naive curiosity that the 2004 paper rejects.
     """
 
     needs: ClassVar[frozenset[Need]] = frozenset()
@@ -85,7 +85,7 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Random:
-    """The baseline: nothing is worth more than anything else, so actions are uniformly random.
+    """The baseline: every candidate is worth the same, so actions are uniformly random.
 
     Source: RANDOM in Oudeyer, Kaplan and Hafner (2007).
     """

@@ -19,7 +19,7 @@ class Choice(Protocol):
 
         Args:
             worth: Shape `(A, C)`, float64; infinite worth is allowed.
-            numbers: Shape `(A,)`, uniform over [0, 1), the chance that there is in the choice.
+            numbers: Shape `(A,)`, uniform random numbers over [0, 1).
         """
 
 
@@ -48,7 +48,7 @@ class Proportional:
 
     and uniform where nothing is worth more than 0, or among those of infinite worth.
 
-    Source: Baranes and Oudeyer (2013), who choose regions so, by absolute progress.
+    Source: Baranes and Oudeyer (2013), who choose regions in this way, by absolute progress.
     """
 
     def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
@@ -80,7 +80,7 @@ class Softmax:
 
     def pick(self, worth: Tensor, numbers: Tensor) -> Tensor:
         """Return which candidate each agent takes, shape `(A,)`."""
-        # Less the best, so that no temperature is too low to divide by.
+        # The best is subtracted, so that a low temperature does not overflow.
         below = worth - worth.amax(dim=1, keepdim=True)
         return _sample(worth, kernels.exp(below / self.temperature), numbers)
 

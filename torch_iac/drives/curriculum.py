@@ -39,19 +39,19 @@ class Stage:
 
 
 FROM_EASY_TO_HARD = (Stage("sound", 2 / 3, 1.0, 1000), Stage("sound", 1 / 3, 2 / 3, 0))
-"""The toy room's lesson: f3 for 1,000 decisions, then f2."""
+"""The schedule for the toy room: f3 for 1,000 decisions, then f2."""
 
 
 @dataclass(frozen=True)
 class Curriculum:
-    """A schedule made by hand: passive development.
+    """A schedule of actions made by hand.
 
     worth(a) = 1 if the action is in the present stage, else 0
 
     Raises:
         ValueError: There are no stages.
 
-    Source: Elman (1993) and Nagai et al. (2002), as the 2004 paper speaks of them.
+    Source: Elman (1993) and Nagai et al. (2002), as the 2004 paper describes them.
     """
 
     needs: ClassVar[frozenset[Need]] = frozenset()
@@ -64,7 +64,7 @@ class Curriculum:
             raise ValueError("stages must hold at least one stage, got none")
 
     def columns(self, space: SensorimotorSpace) -> list[int]:
-        """Return where each stage's action stands among the actions, counted from 0.
+        """Return the index of each stage's action among the actions.
 
         Raises:
             ValueError: The world has no action of a stage's name.

@@ -1,7 +1,7 @@
 """Drives: what a candidate action is worth to the robot.
 
-A drive is a frozen bundle of numbers with one method, `worth`. What it may look at, besides the
-candidates, is in `Knowledge`; parts that only some drives need are kept only if `needs` names them.
+A drive is a frozen dataclass with one method, `worth`. What it may use, besides the candidates, is
+in `Knowledge`; parts that only some drives need are kept only if `needs` names them.
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class MetaProgress:
 
 @dataclass(frozen=True)
 class AbsoluteProgress:
-    """The size of the learning progress of the candidate's region, falling or growing errors alike.
+    """The absolute learning progress of the candidate's region, for falling and growing errors.
 
     worth(a) = |LP of the region that holds (a, sensors)|
 

@@ -1,4 +1,4 @@
-"""What a drive is asked, and what it may know."""
+"""The protocol of drives, and what a drive may use."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeVar, runtime_checkable
@@ -19,7 +19,7 @@ Need = Literal["meta", "whole_history", "improvement"]
 
 @dataclass(frozen=True)
 class Candidates:
-    """The actions that each agent may take now, each with the present sensors: situations.
+    """The candidate actions of each agent, each with the present sensors, as situations.
 
     Attributes:
         situations: Shape `(A, C, D)`, in the unit cube.
@@ -32,7 +32,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the robots know when they choose.
+    """What the agents have learnt when they choose.
 
     Attributes:
         step: The number of the decision.
@@ -57,11 +57,11 @@ class Knowledge:
 
 @runtime_checkable
 class Drive(Protocol):
-    """Says what candidates are worth; the agent takes one by that."""
+    """Says what candidates are worth, by which the agent chooses one."""
 
     @property
     def needs(self) -> frozenset[Need]:
-        """Which optional parts of the knowledge the drive looks at."""
+        """Which optional parts of the knowledge the drive uses."""
 
     def worth(self, candidates: Candidates, knowledge: Knowledge) -> Tensor:
         """Return what each candidate is worth, shape `(A, C)`, float64; higher is better.

@@ -19,7 +19,7 @@ ERROR_STEPS, MOST_ERROR = 2.0**30, 2.0**10
 count as 2^10, which is far beyond scaled units."""
 
 NEIGHBOURS, NETWORK = 0, 1
-"""Which column holds whose errors."""
+"""Columns of the errors of each half."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class HybridPool(Stateful):
         return sums[:, NETWORK] < sums[:, NEIGHBOURS]
 
     def learn(self, examples: Examples, rows: Tensor, step: int) -> Tensor:
-        """Remember both errors, learn, and return the network's losses, shape `(A,)`.
+        """Record both errors, learn, and return the network's losses, shape `(A,)`.
 
         Args:
             examples: What the regions hold, the new ones last.
@@ -134,7 +134,7 @@ class HybridPool(Stateful):
         return pool.expert(examples, row)
 
     def _remember(self, rows: Tensor, errors: Tensor) -> None:
-        """Put errors `(A, 2)` in the place of the oldest."""
+        """Replace the oldest errors by new ones, `(A, 2)`."""
         places = self._n_errors.take(rows) % self._recent
         self._sums[rows] += errors - self._errors[rows, :, places]
         self._errors[rows, :, places] = errors

@@ -1,7 +1,7 @@
 """Experts that are nearest neighbours.
 
-A kind of expert (`KNNExperts`, `MLPExperts`, ...) is a frozen bundle of numbers, part of the
-config; its `pool` is what works: one expert for each leaf of each agent.
+A kind of expert (`KNNExperts`, `MLPExperts`, ...) is a frozen dataclass, part of the config; its
+`pool` makes the experts themselves, one for each leaf of each agent.
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ class KNNExperts(Stateful):
         seeds: Sequence[int],  # noqa: ARG002
         device: torch.device,  # noqa: ARG002
     ) -> Self:
-        """Return itself: all that nearest neighbours know is in the examples."""
+        """Return itself: nearest neighbours have no state but the examples."""
         return self
 
     def predict(self, examples: Examples, rows: Tensor, situations: Tensor) -> Tensor:
@@ -65,10 +65,10 @@ class KNNExperts(Stateful):
         """Do nothing, for rows `(A,)`: the example is stored already."""
 
     def split(self, examples: Examples, split: Split) -> None:
-        """Do nothing: the examples are parted already."""
+        """Do nothing: the examples are divided already."""
 
     def expert(self, examples: Examples, row: int) -> RegionExamples:
-        """Return a copy of the examples of a region, among which it looks for the nearest."""
+        """Return a copy of the examples of a region, among which the nearest are searched."""
         return examples.of(row)
 
 

@@ -105,7 +105,7 @@ class NetworkPool(Stateful):
     """The networks of the regions of a population.
 
     Args:
-        networks: Room for them.
+        networks: The networks, with one row for each root.
         training: How they learn.
         seeds: One for each agent.
         device: Where they learn.
@@ -168,7 +168,7 @@ class NetworkPool(Stateful):
                 self._train(examples, rows, picks)
 
     def _train(self, examples: Examples, rows: Tensor, numbers: Tensor) -> Tensor:
-        """Train on the examples that numbers `(F, M * B)` in [0, 1) pick."""
+        """Train on the examples that numbers `(F, M * B)` in [0, 1) select."""
         picks = (numbers * examples.counts.take(rows)[:, None]).long()
         situations = pick(examples.situations.index_select(0, rows), picks)
         outcomes = pick(examples.outcomes.index_select(0, rows), picks)

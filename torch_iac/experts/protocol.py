@@ -1,4 +1,4 @@
-"""What an expert is asked: to predict, to learn, to split."""
+"""The protocol of experts: predict, learn, split."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -38,7 +38,7 @@ class ExpertPool(Protocol):
         """
 
     def split(self, examples: Examples, split: Split) -> None:
-        """Make experts for the children of regions, whose examples have been parted.
+        """Make experts for the children of regions, whose examples are divided already.
 
         Args:
             examples: What the regions hold now.

@@ -28,14 +28,14 @@ Weights = dict[str, Tensor]
 """The weights of some networks, or their gradients, by name, each `(A, ...)`."""
 
 ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.Tanh, nn.Sigmoid)
-"""Layers that do the same to every number, whatever the shape around it."""
+"""Elementwise layers."""
 
 MOST_RATE = 1e38
 """Float32 holds no larger step size."""
 
 TINY = 1e-17
-"""Added to gradients, far below what changes anything: the optimiser's memory of a unit that has
-gone quiet would else fade into denormal numbers, with which processors are many times slower."""
+"""Added to gradients, too small to change results: otherwise Adam's running means of an inactive
+unit decay to denormal numbers, with which processors are many times slower."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class MLP:
         return nn.Sequential(*layers[:-1])
 
     def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
-        """Return how many numbers go into each layer, and how many come out."""
+        """Return the numbers of inputs and outputs of each layer."""
         return list(pairwise((n_inputs, *self.hidden, n_outputs)))
 
 
@@ -105,7 +105,7 @@ class StackedNetworks(Stateful):
     On the CPU linear layers with ReLU between them run in `kernels`: the same to the bit on every
     x86-64 processor, whatever other rows there are. Any other `Sequential` of linear and
     elementwise layers runs as batched matrix products, any other module through `torch.func.vmap`;
-    these may differ in the last digits, from one processor to another and alone from in company.
+    the last digits of these may differ between processors, and between one robot and many.
 
     Args:
         factory: Makes one network.
@@ -143,13 +143,13 @@ class StackedNetworks(Stateful):
         self._weights = torch.empty(0, sum(self._sizes), device=device)
         self._mean = torch.empty_like(self._weights)
         self._square = torch.empty_like(self._weights)
-        # How full the two running means are: 1 - 0.9**n and 1 - 0.999**n after n steps.
+        # Bias corrections of the two running means: 1 - 0.9**n and 1 - 0.999**n after n steps.
         self._filled = torch.empty(0, 2, device=device)
         self._rates = torch.tensor([0.1, 0.001], device=device)
         self._full = torch.ones(2, device=device)
 
     def reserve(self, n_rows: int) -> None:
-        """Make room for `n_rows` networks."""
+        """Allocate `n_rows` networks."""
         self._n_rows = max(self._n_rows, n_rows)
         self._weights = reserve(self._weights, n_rows)
         self._mean = reserve(self._mean, n_rows)
@@ -164,7 +164,7 @@ class StackedNetworks(Stateful):
             column[rows] = 0.0
 
     def copy(self, rows: Tensor, new_rows: Tensor) -> None:
-        """Copy weights, and what the optimiser remembers, from rows `(F,)` to new rows `(F,)`."""
+        """Copy weights, and the optimiser's state, from rows `(F,)` to new rows `(F,)`."""
         for column in (self._weights, *self._memory):
             column[new_rows] = column[rows]
 
@@ -175,7 +175,7 @@ class StackedNetworks(Stateful):
         return module
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
-        """Return what networks `(A,)` make of inputs `(A, B, n_inputs)`: `(A, B, n_outputs)`."""
+        """Return outputs `(A, B, n_outputs)` of networks `(A,)` for inputs `(A, B, n_inputs)`."""
         if self._perceptron:
             return kernels.perceptrons(self._weights, rows, self._perceptron, inputs)
         named = self._named(self._weights.index_select(0, rows))
@@ -191,7 +191,7 @@ class StackedNetworks(Stateful):
             inputs: Shape `(A, M * B, n_inputs)`.
             targets: Shape `(A, M * B, n_outputs)`.
             minibatch_size: B.
-            loss: Its mean over a minibatch is made smaller.
+            loss: Its mean over a minibatch is minimised.
 
         Returns:
             Shape `(A,)`, the loss in the last minibatch, before its step.
@@ -223,13 +223,13 @@ class StackedNetworks(Stateful):
 
     @property
     def _memory(self) -> tuple[Tensor, Tensor, Tensor]:
-        """What the optimiser remembers of each network."""
+        """The optimiser's state of each network."""
         return self._mean, self._square, self._filled
 
     def _adam(
         self, weights: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, filled: Tensor
     ) -> None:
-        """Change the weights, and what the optimiser remembers, by one step."""
+        """Update the weights, and the optimiser's state, by one step."""
         gradient.add_(TINY)
         mean.lerp_(gradient, 0.1)
         square.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
@@ -256,7 +256,7 @@ class StackedNetworks(Stateful):
     def _by_hand(
         self, named: Weights, gradient: Weights, inputs: Tensor, targets: Tensor, loss: Loss
     ) -> Tensor:
-        """Do what `_by_autograd` does, layer by layer; for small networks it is twice as fast."""
+        """Do what `_by_autograd` does, layer by layer: twice as fast for small networks."""
         activations = self._activations(named, inputs)
         losses, slopes = loss(activations.pop(), targets)
         slopes = slopes / slopes[0].numel()
@@ -272,7 +272,7 @@ class StackedNetworks(Stateful):
         return losses
 
     def _activations(self, named: Weights, inputs: Tensor) -> list[Tensor]:
-        """Return the inputs, then what comes out of each layer."""
+        """Return the inputs, then the outputs of each layer."""
         activations = [inputs]
         for name, layer in self._layers:
             if isinstance(layer, nn.Linear):
@@ -302,7 +302,7 @@ class StackedNetworks(Stateful):
         return outputs
 
     def _made(self, seed: int) -> nn.Module:
-        # torch on the CPU heeds 32 bits of a seed only, so all of them are mixed into these.
+        # torch on the CPU uses only 32 bits of a seed, so all 64 are mixed into these.
         mixed = np.random.SeedSequence(seed % 2**128).generate_state(1).item()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(mixed)
@@ -346,7 +346,7 @@ def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
 
 
 def _slopes_before(layer: nn.Module, before: Tensor, slopes: Tensor) -> Tensor:
-    """Return the slopes by what goes into an elementwise layer, given those by what comes out."""
+    """Return the gradient by an elementwise layer's inputs, given that by its outputs."""
     if isinstance(layer, nn.ReLU):
         passed: Tensor = torch.ops.aten.threshold_backward(slopes, before, 0)
         return passed

@@ -1,1 +1,1 @@
-"""Tools that all rooms use: state, randomness, scaling, checks, files."""
+"""Shared tools: state, random numbers, scaling, checks, files."""

@@ -1,4 +1,4 @@
-"""Which devices are here."""
+"""The devices of this machine."""
 
 import torch
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 MOST_NESTED = 100
-"""How deep JSON may be nested, far below where Python gives up."""
+"""Deepest nesting of JSON, far below Python's own limit."""
 
 _TOO_DEEP = f"JSON must be nested at most {MOST_NESTED} deep, got more"
 
@@ -67,7 +67,7 @@ def sync_names(folder: Path) -> None:
 
 
 def parse_json(data: bytes) -> Any:
-    """Return what JSON says that may come from anybody.
+    """Return the content of untrusted JSON.
 
     Raises:
         ValueError: It is not JSON, is nested too deep, names something twice, or holds a number

@@ -1,6 +1,6 @@
 """Loops compiled for the processor, which give the same bits on every x86-64 processor.
 
-Each number comes from the same operations in the same order, whoever else is in the batch and
+Each number comes from the same operations in the same order, whatever else is in the batch and
 however many threads share it. Numba without `fastmath` neither reorders a sum nor fuses a product
 with a sum, and nothing is left to the mathematical library of a vendor, which may round by the kind
 of processor or by where in memory a matrix lies.
@@ -24,16 +24,16 @@ from torch import Tensor
 from torch_iac.internal.losses import SMALL_ERROR
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-"""What is compiled has the type that it had."""
+"""A compiled function keeps its type."""
 
 LEAST_WORK = 200_000
-"""Multiplications that are worth another thread: what it costs to wake one, about 20 µs."""
+"""Multiplications for which another thread pays: waking one costs about 20 µs."""
 
 _MOST_THREADS: int = cast(Any, numba.config).NUMBA_NUM_THREADS
 _threads = Lock()
 """Held while threads work together: not all of Numba's threading layers can be entered twice."""
 _forked = False
-"""Whether this process came of `fork`, which leaves the threads behind that its parent had."""
+"""Whether this process was forked: a fork does not have its parent's threads."""
 
 _LEAST_POWER = -600
 _POWERS = np.array([2.0**k for k in range(_LEAST_POWER, 601)])
@@ -84,7 +84,7 @@ def sqrt(values: Tensor) -> Tensor:
     """
     if values.device.type != "cpu":
         return values.sqrt()
-    return torch.from_numpy(np.sqrt(values.numpy()))  # torch asks the vendor's library
+    return torch.from_numpy(np.sqrt(values.numpy()))  # torch uses the vendor's library
 
 
 def squared_distances(situations: Tensor, rows: Tensor, points: Tensor) -> Tensor:
@@ -113,7 +113,7 @@ def squared_distances(situations: Tensor, rows: Tensor, points: Tensor) -> Tenso
 
 
 def perceptrons(weights: Tensor, rows: Tensor, sizes: Sequence[int], inputs: Tensor) -> Tensor:
-    """Return what multi-layer perceptrons with ReLU make of inputs.
+    """Return the outputs of multi-layer perceptrons with ReLU.
 
     Args:
         weights: Shape `(L, P)`, float32, on the CPU: of each layer its matrix, then its biases.
@@ -148,14 +148,14 @@ def train_perceptrons(
 
     Args:
         weights: Shape `(L, P)`, as for `perceptrons`.
-        memory: Adam's running means of gradients and of their squares, each `(L, P)`, and how full
-            they are, `(L, 2)`.
+        memory: Adam's running means of gradients and of their squares, each `(L, P)`, and their
+            bias corrections, `(L, 2)`.
         rows: Shape `(A,)`, different networks.
         sizes: As for `perceptrons`.
         inputs: Shape `(A, M * B, sizes[0])`.
         targets: Shape `(A, M * B, sizes[-1])`.
         minibatch_size: B.
-        loss: Which of `losses.LOSSES` is made smaller, counted from 0.
+        loss: Index of the loss in `losses.LOSSES`.
         optimizer: `adam` or `sgd`.
         learning_rate: Step size.
         tiny: Added to each gradient for Adam.
@@ -184,15 +184,15 @@ def _call(
     work: int,
     arguments: tuple[Any, ...],
 ) -> None:
-    """Let one thread treat all rows, or as many as torch uses where that is worth it.
+    """Compute all rows on one thread, or on as many as torch uses where that pays.
 
     Numba's threads are OpenMP's, like torch's, where it finds the same OpenMP: a pool beside them
     would wait for the processor, as OpenMP's threads spin for milliseconds after each operation of
     torch (256 robots with networks made 7,800 decisions a second on two cores, and 11,300 so).
 
     Args:
-        functions: One that treats rows from its first argument to its second, each by itself, and
-            one that shares as many rows as its first argument out in as many parts as its second.
+        functions: One that computes rows from its first argument to its second, each by itself, and
+            one that divides as many rows as its first argument into as many parts as its second.
         n_rows: A.
         work: About how many multiplications a row takes.
         arguments: The functions' other arguments.
@@ -218,7 +218,7 @@ def _exp(x: Any) -> Any:
     series = 1.0
     for n in range(13, 0, -1):
         series = 1.0 + series * r / n
-    half = k // 2  # the whole of 2**k may be too small or too large for a number
+    half = k // 2  # 2**k itself may be too small or too large for a float64
     return series * _POWERS[half - _LEAST_POWER] * _POWERS[k - half - _LEAST_POWER]
 
 
@@ -285,7 +285,7 @@ def _add_products(sums: np.ndarray, factors: np.ndarray, rows: np.ndarray) -> No
 
 @_compiled
 def _forward(weights: np.ndarray, sizes: np.ndarray, values: np.ndarray) -> None:
-    """Fill in what comes out of each layer of a network.
+    """Fill in the outputs of each layer of a network.
 
     Args:
         weights: Shape `(P,)`.
@@ -336,7 +336,7 @@ def _share_outputs(n_rows: int, n_parts: int, arguments: Any) -> None:
 
 @_compiled
 def _fill_slopes(loss: int, outputs: np.ndarray, targets: np.ndarray, slopes: np.ndarray) -> float:
-    """Fill in the slopes of a mean loss, all `(K, B)`, and return that loss."""
+    """Fill in the gradient of a mean loss, all `(K, B)`, and return that loss."""
     total = 0.0
     n = np.float32(outputs.size)
     for k in range(outputs.shape[0]):
@@ -368,8 +368,8 @@ def _backward(
         weights: Shape `(P,)`.
         sizes: As for `_forward`.
         values: Shape `(U, B)`, what `_forward` filled in.
-        slopes: Shape `(U, B)`; the last `sizes[-1]` rows are those of the loss by the outputs.
-        room: Shape `((B + largest layer) * largest layer,)`, for what is turned round.
+        slopes: Shape `(U, B)`; the last `sizes[-1]` rows are the gradient by the outputs.
+        room: Shape `((B + largest layer) * largest layer,)`, for transposed matrices.
         gradient: Shape `(P,)`, filled in.
     """
     after, end = values.shape[0] - sizes[-1], len(weights)
@@ -386,7 +386,7 @@ def _backward(
         for b in range(n_batch):
             by_biases += turned[b]
         by_weights = gradient[start:biases].reshape(n_out, n_in)
-        if n_in < n_out:  # the longer side is added to at once
+        if n_in < n_out:  # the longer side is the inner loop
             product = room[n_batch * n_out :][: n_in * n_out].reshape(n_in, n_out)
             product[:] = _ZERO
             _add_products(product, inputs, turned)
@@ -417,7 +417,7 @@ def _adam(
     rate: float,
     tiny: float,
 ) -> None:
-    """Change weights `(P,)`, and what Adam remembers of them, by one step."""
+    """Update weights `(P,)`, and Adam's state, by one step."""
     filled[0] += _MEAN_RATE * (np.float32(1) - filled[0])
     filled[1] += _SQUARE_RATE * (np.float32(1) - filled[1])
     for p in range(len(weights)):

@@ -1,4 +1,4 @@
-"""Losses: what networks make smaller, and its slopes."""
+"""Losses of networks, and their gradients."""
 
 from collections.abc import Callable
 
@@ -6,22 +6,22 @@ import torch
 from torch import Tensor
 
 Loss = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Compares predictions with targets, both `(A, B, K)`, element by element: the losses, and their
-slopes, the derivatives by the predictions."""
+"""Compares predictions with targets, both `(A, B, K)`, element by element: returns the losses, and
+their derivatives by the predictions."""
 
 SMALL_ERROR = 1e-4
-"""Added to errors before their logarithm is learnt, so that MP can come back from expecting none;
-taken off again when it is asked."""
+"""Added to errors before their logarithm is learnt, so that an expected error of 0 stays finite;
+subtracted again from predictions."""
 
 
 def squared_error(predictions: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the squared error of each prediction, and its slope; all of one shape."""
+    """Return the squared error of each prediction, and its derivative; all of one shape."""
     difference = predictions - targets
     return difference.square(), difference.mul_(2)
 
 
 def gamma_loss(outputs: Tensor, errors: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what MP makes smaller, least for log(mean error + `SMALL_ERROR`), and its slope.
+    """Return MP's loss, least for log(mean error + `SMALL_ERROR`), and its derivative.
 
     All are of one shape; errors are in scaled units.
     """

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 KIND, OBJECT, LOST = "kind", "object", "lost"
-"""What names the class of a dataclass; a class or function itself; attributes that JSON lacks."""
+"""Keys: the class of a dataclass; a class or function itself; attributes that JSON lacks."""
 
 
 def to_json(value: Any, kinds: Mapping[str, type]) -> Any:
@@ -48,7 +48,7 @@ def from_json(content: Any, kinds: Mapping[str, type], where: str = "value") -> 
     Args:
         content: The JSON.
         kinds: As for `to_json`.
-        where: What the value is called in errors.
+        where: The value's name in errors.
 
     Raises:
         ValueError: A kind or an object cannot be found, has other fields or refuses a value; the
@@ -106,8 +106,8 @@ def import_object(name: Any, where: str = "value") -> Any:
     """Return the class or the function that is called `module:Name`, once its module is imported.
 
     Args:
-        name: What it is called.
-        where: What it is called in errors.
+        name: `module:Name`.
+        where: Its name in errors.
 
     Raises:
         ValueError: It cannot be imported.

@@ -1,4 +1,4 @@
-"""Which processor this is, as far as it decides how numbers are rounded."""
+"""The kind of processor, on which the rounding of numbers may depend."""
 
 import platform
 from pathlib import Path
@@ -35,7 +35,7 @@ def described(one: object) -> str:
 
 
 def _model() -> str:
-    """Return what the processor calls itself."""
+    """Return the name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:  # not Linux

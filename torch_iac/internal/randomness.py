@@ -1,7 +1,7 @@
-"""Random numbers that are a pure function of an agent's seed and of what they are for.
+"""Random numbers as a pure function of an agent's seed, a stream and a decision.
 
 A counter-based generator: no state to keep, to share or to save, the same numbers on every device,
-and an agent's numbers do not depend on who else is in the population.
+and an agent's numbers do not depend on the other agents.
 """
 
 from collections.abc import Sequence

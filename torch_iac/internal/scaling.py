@@ -41,7 +41,7 @@ class Scale:
 
     def to_unit(self, raw: Tensor) -> Tensor:
         """Return raw values `(..., n)` scaled to [0, 1], clipped, in multiples of `UNIT_STEP`."""
-        # No `addcmul`, which some processors round once and others twice.
+        # No `addcmul`: some processors round it once, others twice.
         steps = raw * self._steps + self._first_step
         return steps.clamp_(0.0, 1 / UNIT_STEP).round_().mul_(UNIT_STEP)
 
@@ -54,11 +54,11 @@ class Scale:
         return torch.equal(raw.clamp(self._least, self._most), raw)
 
     def outside(self, raw: Tensor) -> Tensor:
-        """Return which values `(..., n)` `contains` objects to."""
+        """Return which values `(..., n)` are outside."""
         return raw.clamp(self._least, self._most) != raw  # NaN differs from itself
 
     def check(self, raw: Tensor, whose: str) -> None:
-        """Refuse values `(n_rows, n)` that `contains` objects to.
+        """Refuse values `(n_rows, n)` that are outside their bounds.
 
         Args:
             raw: The values.

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 ROOT = "state"
-"""What the whole is called."""
+"""Name of the whole state in errors."""
 
 LARGEST_NUMBER = 8
-"""In bytes; what is longer has no place in a file of tensors."""
+"""In bytes; files of tensors hold no longer numbers."""
 
 
 def pack(value: Any) -> tuple[dict[str, Tensor], Any]:
@@ -27,7 +27,7 @@ def pack(value: Any) -> tuple[dict[str, Tensor], Any]:
     memory.
 
     Raises:
-        TypeError: Something can be in neither.
+        TypeError: A part can be in neither.
         ValueError: A number is not finite, or two tensors would have one name.
     """
     tensors: dict[str, Tensor] = {}

@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 State = dict[str, Tensor]
-"""Tensors by name; parts of parts stand after a slash, as in `tree/parent`."""
+"""Tensors by name; names of nested parts have a slash, as in `tree/parent`."""
 
 
 @runtime_checkable
 class Resumable(Protocol):
-    """What can be saved, and goes on from what was saved bit for bit."""
+    """An object that can be saved, and goes on from its state bit for bit."""
 
     def state(self) -> State:
         """Return a copy of all that the future depends on."""
@@ -91,7 +91,7 @@ def _collect(name: str, part: Any) -> State:
 
 
 def _restored(name: str, part: Any, rest: State) -> Any:
-    """Return what an attribute shall be, and take its state from what is left of the whole."""
+    """Return the restored attribute, and remove its state from the rest."""
     if isinstance(part, Tensor):
         return _taken(name, part, rest).to(part.device, copy=True)
     if isinstance(part, int):

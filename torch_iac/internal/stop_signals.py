@@ -1,4 +1,4 @@
-"""Stop signals: Ctrl-C and a request to terminate, as a wish to stop at the next good moment."""
+"""Stop signals: SIGINT (Ctrl-C) and SIGTERM set a flag instead of ending the process."""
 
 import signal
 from collections.abc import Iterator
@@ -9,10 +9,10 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
 class Stop:
-    """Whether the user, or the machine, has asked a run to stop.
+    """Whether a run was asked to stop.
 
     Attributes:
-        signals: What was received.
+        signals: The signals received.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Stop:
         return bool(self.signals)
 
     def receive(self, number: int, frame: object) -> None:
-        """Note a signal; the second does not wait for the decision to end.
+        """Record a signal; the second one raises at once.
 
         Raises:
             KeyboardInterrupt: It is the second.
@@ -36,7 +36,7 @@ class Stop:
 
 @contextmanager
 def stopping() -> Iterator[Stop]:
-    """Note stop signals while the block runs, instead of what they do by default."""
+    """Record stop signals while the block runs, in place of their default handlers."""
     stop = Stop()
     before = {number: signal.signal(number, stop.receive) for number in STOPPING}
     try:

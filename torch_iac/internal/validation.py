@@ -1,4 +1,4 @@
-"""Whole numbers in a config: how small and how large they may be."""
+"""Limits of whole numbers in a config."""
 
 MAX_COUNT = 10**12
 """Keeps products within int64."""

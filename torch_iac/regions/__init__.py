@@ -1,1 +1,1 @@
-"""How the sensorimotor space is divided: the tree, its cuts, what each leaf remembers."""
+"""The regions of the sensorimotor space: tree, cuts, examples and errors."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_iac.internal.scaling import UNIT_STEP
 
 TIE = 1e-12
-"""Two cuts whose gains differ by less, relatively, are tied: rounding must not decide."""
+"""Gains that differ relatively by less are a tie, so that rounding does not decide."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Cut:
     """Where to cut some full regions in two; at most the value goes left, above it right.
 
     Attributes:
-        found: Shape `(F,)`, bool, whether any cut was admissible; the rest means nothing if not.
+        found: Shape `(F,)`, bool, whether any cut was admissible; the rest is undefined if not.
         dimension: Shape `(F,)`, which dimension of the situation.
         value: Shape `(F,)`, float32, in the unit cube.
     """
@@ -77,7 +77,7 @@ def best_cut(situations: Tensor, outcomes: Tensor, balance: float) -> Cut:
 
 
 def _sorted(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return values `(..., n)` from low to high, and where each was; equal ones in any order."""
+    """Return sorted values `(..., n)` and the sorting indices; equal values in any order."""
     if values.device.type == "cpu":  # where numpy is six times as fast
         order = torch.from_numpy(values.numpy().argsort(axis=-1))
     else:
@@ -90,8 +90,9 @@ def _gains(order: Tensor, outcomes: Tensor) -> Tensor:
 
     With `S` a sum of outcomes and `n` how many they are, the decrease is
     (n S_left - n_left S)^2 / (n n_left n_right), which needs no sum of squares. In
-    steps of `UNIT_STEP` the outcomes are whole numbers, so the bracket is exact and cuts that
-    part the examples alike have bit for bit the same gain. The constant 1 / n is left out.
+    steps of `UNIT_STEP` the outcomes are whole numbers, so the bracket is exact, and cuts that
+    divide the examples in the same way have the same gain, bit for bit. The constant 1 / n is left
+    out.
 
     Args:
         order: Shape `(F, D, N)`, the examples from low to high along each dimension.

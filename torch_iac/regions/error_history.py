@@ -1,4 +1,4 @@
-"""Error histories and learning progress, a region at a time, in the region's own time."""
+"""Error histories and learning progress of the regions."""
 
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ from torch_iac.regions.tree import Split
 
 
 class ErrorHistory(Stateful):
-    """The errors that each leaf's expert made, and what they say of its learning progress.
+    """The errors of each leaf's expert, and its learning progress.
 
     Learning progress is the mean of `window` errors as it was `delay` errors ago, less that mean
     now: with errors e(1) ... e(n),
@@ -52,11 +52,11 @@ class ErrorHistory(Stateful):
         self._sums = torch.zeros(n_rows, self._size, dtype=torch.float64, device=device)
         self._counts = torch.zeros(n_rows, dtype=torch.int64, device=device)
         self.progress = torch.zeros(n_rows, dtype=torch.float64, device=device)
-        # Where the next sum goes, relative to the newest, and those that its progress is made of.
+        # Offsets from the newest sum: of the next one, and of those that its progress needs.
         self._marks = torch.tensor([1, 0, 1 - window, 1 - delay, 1 - delay - window], device=device)
 
     def add(self, rows: Tensor, errors: Tensor) -> None:
-        """Take in one error for each of some different rows and renew their progress.
+        """Add one error to each of some different rows and update their progress.
 
         Args:
             rows: Shape `(A,)`.
@@ -85,7 +85,7 @@ class ErrorHistory(Stateful):
         return self._progress(sums[..., 0] + errors, sums, counts + 1)
 
     def _marked(self, rows: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the places in the ring of the next sum and of those that matter; their sums."""
+        """Return ring indices of the next sum and of those that progress needs, and these sums."""
         places = (counts[..., None] + self._marks) % self._size
         return places, self._sums[rows[..., None], places[..., 1:]]
 

@@ -1,8 +1,8 @@
 """The examples that each region holds.
 
 Every leaf of every agent has one *row*, its own place in the tables of examples, of error histories
-and of network weights. Rows are shared out as leaves appear, over all agents, so that memory
-follows the number of leaves and not the size of the largest tree. `L` is the number of rows.
+and of network weights. Rows are allocated as leaves appear, over all agents, so that memory
+grows with the number of leaves and not with the largest tree. `L` is the number of rows.
 """
 
 import math
@@ -94,7 +94,7 @@ class Examples(Stateful):
         return RegionExamples(situations.mT.clone(), outcomes.mT.clone())
 
     def split(self, split: Split, goes_right: Tensor) -> None:
-        """Part the examples of regions between their children, each side in order of age.
+        """Divide the examples of regions between their children, each side in order of age.
 
         Args:
             split: The regions that split.
@@ -122,6 +122,6 @@ class Examples(Stateful):
 
 
 def _arrange(examples: Tensor, order: Tensor, absent: Tensor, fill: float) -> Tensor:
-    """Put the last dimension of `(F, ., N)` in an order `(F, N)` and fill what is absent."""
+    """Reorder the last dimension of `(F, ., N)` by `(F, N)` and fill absent places."""
     arranged = examples.gather(-1, order[:, None].expand_as(examples))
     return arranged.masked_fill_(absent[:, None], fill)

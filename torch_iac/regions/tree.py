@@ -19,13 +19,13 @@ from torch_iac.records import Genealogy
 from torch_iac.regions.cuts import Cut
 
 NONE = -1
-"""Stands for no parent, no split yet, no cut."""
+"""No parent, no split yet, or no cut."""
 
 CUTS = 7
 """How many cuts a bundle holds."""
 
 BYTES = 8
-"""How many comparisons a bundle makes: as many as a 64-bit word has bytes; the last is idle."""
+"""Comparisons per bundle: as many as a 64-bit word has bytes; the last one is unused."""
 
 COMPACT_FROM = 4096
 """Drop finished points from this batch size on (on a processor)."""
@@ -73,10 +73,10 @@ _NODE_COLUMNS = {
 class RegionTree(Stateful):
     """The region trees of a population; each agent starts with one region, the whole cube.
 
-    Routing compares a situation with seven cuts at once. Neighbouring cuts of a tree are tied into
-    *bundles*, each known by the node at its top: a table says, for each of the 128 ways in which a
-    situation may lie to the seven cuts, at which node it leaves the bundle. A leaf is a bundle
-    without cuts that leads to itself.
+    Routing compares a situation with seven cuts at once. Neighbouring cuts of a tree form
+    *bundles*, each named by the node at its top: a table holds, for each of the 128 possible
+    results of the seven comparisons, the node at which a situation leaves the bundle. A leaf is a
+    bundle without cuts that leads to itself.
 
     Args:
         n_agents: How many agents there are.
@@ -127,9 +127,9 @@ class RegionTree(Stateful):
         self.cut_dimension = column(NONE)
         self.cut_value = column(math.nan, torch.float32)
 
-        self._bundle = self.roots.clone()  # the bundle that a leaf is an exit of
+        self._bundle = self.roots.clone()  # the bundle of which a leaf is an exit
         self._bundle_level = column(0)
-        self._n_cuts = column(CUTS)  # of a bundle; a leaf is none yet, so it has no room
+        self._n_cuts = column(CUTS)  # of a bundle; a leaf is not one yet, so it counts as full
         self._dimensions = column(0, width=BYTES)
         self._values = column(math.inf, torch.float32, BYTES)  # nothing lies above
         self._first_exit = self.roots.clone()

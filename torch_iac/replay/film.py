@@ -1,4 +1,4 @@
-"""Makes a film of scenes of a run: the world's pictures on sheets that say what the robot learns.
+"""Makes a film of scenes of a run: the world's pictures with annotation panels.
 
 Frames have shape `(720, 1280, 3)`.
 """
@@ -19,7 +19,7 @@ from torch_iac.replay.scenes import Scene
 from torch_iac.runs.reader import Run
 
 CARD_SECONDS = 1.5
-"""How long (s) the title of a stage stands."""
+"""How long (s) the title of a stage is shown."""
 
 SMALL = (800, 450)
 """Width and height of a film for web pages (pixels)."""
@@ -28,7 +28,7 @@ N_COLOURS = 128
 """How many colours a film for web pages has."""
 
 N_FOR_COLOURS = 60
-"""They are chosen to suit so many frames, the first."""
+"""The palette is made from the first frames, this many."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Film:
     Attributes:
         run: The run.
         agent: Which robot.
-        world: What the world says of itself: its `render_fps` pictures are a second of the film,
+        world: The world's metadata: its `render_fps` pictures are a second of the film,
             its sensors have `sensor_units`.
     """
 
@@ -101,7 +101,7 @@ def writer_for(path: Path) -> Writer:
 def _write_mp4(path: Path, frames: Iterable[Frame], pictures_a_second: int) -> None:
     from imageio_ffmpeg import write_frames
 
-    as_mp4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the name ends in
+    as_mp4 = ["-f", "mp4", "-movflags", "+faststart"]  # whatever the name's suffix
     writer = write_frames(
         path,
         (WIDTH, HEIGHT),

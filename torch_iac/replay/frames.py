@@ -1,6 +1,6 @@
 """Annotation panels of film frames: the robot's action, its region, prediction and time.
 
-Sheets have shape `(720, 1280, 3)`; there is a place on them for a picture of the world.
+Frames have shape `(720, 1280, 3)`, with a place for a picture of the world.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ Frame = NDArray[np.uint8]
 """A picture, shape `(height, width, 3)`: red, green and blue."""
 
 WIDTH, HEIGHT = 1280, 720
-"""Of a sheet (pixels)."""
+"""Size of a frame (pixels)."""
 
 ROOM = (640, 480)
 """Width and height of the world's pictures on it (pixels)."""
@@ -41,28 +41,28 @@ COLUMN = 700
 """Where the column beside the room begins, from the left (pixels)."""
 
 MOST_CUTS = 5
-"""Of how many sensors the column says where the region was cut."""
+"""Sensors whose cuts the column names, at most."""
 
 MOST_ACTIONS = 3
-"""Of how many dimensions of the action the column shows an axis."""
+"""Dimensions of the action that have an axis, at most."""
 
 LINE = 62
-"""How many letters a line of small text has at most."""
+"""Characters in a line of small text, at most."""
 
 UNBROKEN = "\N{NO-BREAK SPACE}"
-"""Keeps words on one line."""
+"""A space at which lines are not broken."""
 
 PREDICTED, OUTCOME = "#E69F00", "#000000"
 """Orange and black: markers."""
 
 AMBER, GREY = "#946200", "#555555"
-"""The orange of the markers, dark enough to be read, and what is said by the way."""
+"""The orange of the markers, dark enough for text, and grey for secondary text."""
 
 REGION: dict[str, Any] = {"color": "black", "linewidth": 5, "solid_capstyle": "butt"}
-"""How the part of an axis looks that a region covers."""
+"""Style of the part of an axis that a region covers."""
 
 TO_COME: dict[str, Any] = {"color": "white", "alpha": 0.75, "linewidth": 0, "zorder": 3}
-"""A veil before the time to come."""
+"""Style of the decisions still to come."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 14,
@@ -71,17 +71,17 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-"""How all sheets look."""
+"""Matplotlib's settings for all frames."""
 
 
 @dataclass(frozen=True)
 class Sheets:
-    """Sheets about one robot of a run.
+    """Annotation panels about one robot of a run.
 
     Attributes:
         run: The run.
         agent: Which robot.
-        world: What the world says of itself; its sensors have `sensor_units`.
+        world: The world's metadata; its sensors have `sensor_units`.
     """
 
     run: Run
@@ -169,7 +169,7 @@ class Sheets:
         axes.vlines(actions[:, place], 0.3, 0.55, colors=colours, linewidth=0.8, alpha=0.5)
 
     def _write_region(self, figure: Figure, row: Mapping[str, Any]) -> None:
-        """Say which region predicts, where it lies and what it learns."""
+        """Write which region predicts, its bounds and its progress."""
         region = row["region"]
         depth = self.run.family(self.agent)["depth"][region].as_py()
         cuts = f"{depth} cut{'s' if depth != 1 else ''} from the root" if depth else "the root"
@@ -201,7 +201,7 @@ class Sheets:
         return f"{name} {low:.2f} to {self._said(name, high)}"
 
     def _draw_outcome(self, figure: Figure, row: Mapping[str, Any]) -> None:
-        """Show what was predicted and what came of it, of the first outcome."""
+        """Show the prediction and the outcome, of the first outcome's dimension."""
         dimension = self.run.space.outcomes[0]
         name = dimension.name
         predicted, outcome = row[f"prediction/{name}"], row[f"outcome/{name}"]

@@ -1,4 +1,4 @@
-"""How long the stages of a film are."""
+"""The default length of a film's stages."""
 
 N_DECISIONS = 20
-"""How many decisions a stage of a film has, if nobody says otherwise."""
+"""Decisions in a stage of a film, by default."""

@@ -25,7 +25,7 @@ from torch_iac.worlds.vector import World, outcome_of
 
 @dataclass(frozen=True)
 class Stage:
-    """Some consecutive decisions of a robot that are looked at.
+    """Consecutive decisions of a robot that are shown.
 
     Attributes:
         title: What they are, in a few words.
@@ -45,7 +45,7 @@ class Scene:
     Attributes:
         stage: What it belongs to.
         row: What was recorded of it, by column.
-        pictures: What it looked like, from its beginning to its end, each of shape `(H, W, 3)`.
+        pictures: Pictures of the world from its beginning to its end, each of shape `(H, W, 3)`.
     """
 
     stage: Stage
@@ -56,7 +56,7 @@ class Scene:
 def find_stages(run: Run, agent: int = 0, n_decisions: int = N_DECISIONS) -> list[Stage]:
     """Return the stages of a robot's development: beginning, focus on f3 and on f2, end.
 
-    A focus is looked at in the middle of the first window that has it (`toy_room.FOCUS_SHARES`);
+    A focus is shown in the middle of the first window that has it (`toy_room.FOCUS_SHARES`);
     one that never comes is left out.
 
     Args:
@@ -89,7 +89,7 @@ def stages_at(run: Run, firsts: Sequence[int], n_decisions: int = N_DECISIONS) -
 def relive(
     run: Run, stages: Sequence[Stage], world: World, camera: World, agent: int = 0
 ) -> Iterator[Scene]:
-    """Let a robot's recorded actions happen again, and show those of the stages.
+    """Repeat a robot's recorded actions, and yield the scenes of the stages.
 
     Args:
         run: The run.
@@ -116,7 +116,7 @@ def relive(
 
 
 def _hand_over(world: World, camera: World) -> None:
-    """Put the camera's world where the other is."""
+    """Copy the state of the world to the camera's."""
     try:
         set_world_state(camera, world_state(world))
     except AttributeError:
@@ -127,7 +127,7 @@ def _hand_over(world: World, camera: World) -> None:
 
 
 class _Record:
-    """What a robot did and sensed, and whether worlds agree with it.
+    """A robot's recorded actions and sensors, with which worlds are compared.
 
     Args:
         run: The run.
@@ -149,12 +149,12 @@ class _Record:
         return row
 
     def begin(self, world: World) -> None:
-        """Put a world where the robot's began."""
+        """Reset a world as the robot's was."""
         sensors, _ = world.reset(seed=[self._seed])  # type: ignore[arg-type]  # a list is fine
         self._check_sensors(0, sensors)
 
     def live(self, world: World, decision: int) -> None:
-        """Let a decision happen again."""
+        """Repeat a decision."""
         action = self._actions[decision : decision + 1]
         sensors, _, terminated, truncated, info = world.step(action)
         outcome = _array(outcome_of(world, sensors, terminated | truncated, info))
@@ -174,7 +174,7 @@ class _Record:
         got: NDArray[np.float32],
         recorded: NDArray[np.float32],
     ) -> None:
-        """Refuse what does not read as recorded at a decision."""
+        """Refuse values that differ from those recorded at a decision."""
         for name, value, known in zip(names, got, recorded, strict=True):
             if value != known:
                 raise ValueError(

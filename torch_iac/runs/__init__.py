@@ -1,1 +1,1 @@
-"""The run folder: written, read back and summed up; TensorBoard; checkpoints."""
+"""The run folder: writing, reading and summary; TensorBoard; checkpoints."""

@@ -49,7 +49,7 @@ def row_bytes(space: SensorimotorSpace, shadows: Sequence[str], is_hybrid: bool 
 class Rows:
     """The decisions of recorded agents that are not yet on disk, in blocks made once.
 
-    The blocks are on the device of the steps, so that nothing waits for it.
+    The blocks are on the device of the steps, so that no decision waits for a transfer.
 
     Attributes:
         count: How many they are.
@@ -81,7 +81,7 @@ class Rows:
             for field, names in self._names.items()
         }
         self._device = torch.device("cpu")
-        # On the host numpy copies what is small in a third of the time.
+        # On the host numpy copies small arrays in a third of the time.
         self._on_host = [block.numpy() for block in self._blocks.values()]
 
     @property
@@ -120,7 +120,7 @@ class Rows:
         }
 
     def clear(self) -> None:
-        """Start anew."""
+        """Forget all."""
         self.count = 0
 
     def state(self) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class Rows:
             block[: self.count] = state["blocks"][field]
 
     def table(self) -> pa.Table:
-        """Return what is kept, by step, then agent; it is good until the next change."""
+        """Return what is kept, by step, then agent; valid until the next change."""
         n_agents, kept = len(self._seeds), slice(self.count)
         columns = {
             "step": np.repeat(self._decisions[kept], n_agents),

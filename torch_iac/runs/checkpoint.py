@@ -1,13 +1,13 @@
-"""Checkpoints: what a run goes on from, bit for bit, after whatever stopped it.
+"""Checkpoints, from which a run goes on bit for bit.
 
     checkpoints/000000010000/state.safetensors   all tensors of the agents, the world and the loop
     checkpoints/000000010000/state.json          where they belong, and what is no tensor
-    checkpoints/000000010000/manifest.json       whose run it is; sizes and hashes of the other two
+    checkpoints/000000010000/manifest.json       the run's identity; sizes and hashes of the others
     checkpoints/LATEST                           which one is the last, and its manifest's hash
 
 A checkpoint is written under a temporary name, fsynced and renamed, and only then named in
 `LATEST`, so that at every moment a whole one is there. Files are not trusted: nothing in them is
-ever run, and whatever is not as it was written is noticed.
+ever executed, and any change to them is detected.
 """
 
 import re
@@ -44,7 +44,7 @@ PARTS = ("agent", "world", "loop")
 """What a checkpoint holds: fields of `Checkpoint`."""
 
 LONGEST_MANIFEST = 2**26
-"""In bytes; what is longer is no manifest."""
+"""Largest size of a manifest, in bytes."""
 
 _NAME = re.compile(r"(\d{12,18})(?:-(\d{1,9}))?")
 _TEMPORARY = re.compile(rf"\.{_NAME.pattern}\.tmp")
@@ -54,8 +54,8 @@ _TEMPORARY = re.compile(rf"\.{_NAME.pattern}\.tmp")
 class Checkpoint:
     """A run between two decisions.
 
-    The world's and the loop's parts may be whatever `packing` can pack: dicts, lists and tuples of
-    arrays, tensors, numbers and text, as the worlds' `get_state` returns them.
+    The world's and the loop's parts may be whatever `serialize` can pack: dicts, lists and tuples
+    of arrays, tensors, numbers and text, as the worlds' `get_state` returns them.
 
     Attributes:
         n_decisions: How many decisions were taken.
@@ -121,7 +121,7 @@ class Checkpoints:
         try:
             _write_folder(temporary, files)
         except OSError:
-            shutil.rmtree(temporary, ignore_errors=True)  # a full disk needs the room
+            shutil.rmtree(temporary, ignore_errors=True)  # frees space on a full disk
             raise
         temporary.rename(folder)
         sync_names(self.folder)
@@ -130,7 +130,7 @@ class Checkpoints:
         self._sound = folder
         for old in self._newest_first():
             if old not in (folder, before):
-                shutil.rmtree(old, ignore_errors=True)  # what stays is removed the next time
+                shutil.rmtree(old, ignore_errors=True)  # the rest is removed the next time
         return folder
 
     def read(self, n_decisions: int | None = None) -> Checkpoint:
@@ -200,7 +200,7 @@ class Checkpoints:
                 shutil.rmtree(path, ignore_errors=True)
 
     def _free(self, n_decisions: int) -> Path:
-        """Return a folder that is not there yet: nothing sound is ever written over."""
+        """Return a folder that is not there yet: nothing valid is ever overwritten."""
         folder, attempt = self.folder / f"{n_decisions:012d}", 0
         while folder.exists():
             attempt += 1
@@ -250,7 +250,7 @@ class Checkpoints:
 
 
 class _DamageError(ValueError):
-    """A file is not as it was written."""
+    """A file was changed after it was written."""
 
 
 def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -338,9 +338,9 @@ def _read_content(data: bytes, tensors: Mapping[str, Tensor]) -> dict[str, Any]:
 
 
 def _read(path: Path, limit: int) -> bytes:
-    """Return the bytes of a plain file, `limit` at most."""
+    """Return the bytes of a regular file, `limit` at most."""
     try:
-        if not path.is_file():  # reading a pipe would wait for ever
+        if not path.is_file():  # reading a pipe would block
             raise _DamageError(f"{path.name} must be a file, got none")
         if path.stat().st_size > limit:
             raise _DamageError(f"{path.name} must hold at most {limit} bytes, got more")

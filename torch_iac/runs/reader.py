@@ -1,4 +1,4 @@
-"""Reads a run folder back: its config, decisions and regions, and how they went over time.
+"""Reads a run folder: its config, decisions, windows and regions.
 
 Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regions of an agent, `P`
 points of a curve.
@@ -63,7 +63,7 @@ class Run:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything needed to run it again, as `config.json` has it.
+        """Everything needed to make it again, as in `config.json`.
 
         Raises:
             ValueError: The file is not the config of a run.
@@ -77,7 +77,7 @@ class Run:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The run's measures, as `summary.json` has them; `summary.summarise` says what they are.
+        """The run's measures, as in `summary.json`; `summary.summarise` explains them.
 
         Raises:
             FileNotFoundError: The run has not ended.
@@ -120,7 +120,7 @@ class Run:
 
     @property
     def shadow_names(self) -> tuple[str, ...]:
-        """The names of the experts that only looked on."""
+        """The names of the shadow experts."""
         return tuple(self.config.get("shadows", ()))
 
     @property

@@ -53,14 +53,14 @@ LOGS_PER_DOUBLING = 500
 
 
 PACKAGES = ("torch_iac", "torch", "numpy", "gymnasium", "pybullet", "pybullet-arm64", "mujoco")
-"""What config.json tells the versions of."""
+"""Packages whose versions are in config.json."""
 
 KEYS = "versions", "processor", "iac", "space", "seeds", "zones", "shadows", "n_recorded"
-"""What the recorder itself writes in config.json."""
+"""Keys in config.json that the recorder writes itself."""
 
 
 class Recorded(Protocol):
-    """What a recorder asks of the agent that it records; `IAC` has it."""
+    """The protocol of agents that can be recorded; `IAC` is one."""
 
     @property
     def space(self) -> SensorimotorSpace:
@@ -76,7 +76,7 @@ class Recorded(Protocol):
 
     @property
     def shadows(self) -> Mapping[str, Any]:
-        """The experts that only look on, by name."""
+        """The shadow experts, by name."""
 
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""
@@ -98,20 +98,20 @@ class Recorder:
     Leaving the block without an error writes `summary.json`: a folder that has one holds a run that
     went to its end. Leaving it with an error writes the decisions taken until then.
 
-    TensorBoard shows aggregates over all agents, what there is to tell of regions over the first
+    TensorBoard shows aggregates over all agents, measures of regions over the first
     `N_LOGGED_AGENTS` and, region by region, agent 0.
 
     A run that was interrupted goes on with `resume=True` and `load_state`; the parts on disk that
     lie ahead are the same that will be written, and stay until they are.
 
-    A step is copied when it is recorded, on the device where it is; with a GPU, nothing comes from
-    there before a log or a part is due.
+    A step is copied on its own device; from a GPU, data are transferred only when a log or a part
+    is due.
 
     Args:
         folder: Where to write; made if it is not there.
         agent: The population that is recorded.
         zone_names: The names of the world's zones, if it has any.
-        config: What else `config.json` shall hold, besides the agent's config, space and seeds, the
+        config: Further content of `config.json`, besides the agent's config, space and seeds, the
             zones, the names of the shadows, versions and the kind of processor.
         log_every: How many decisions lie between two logs to TensorBoard, at first; in a long run
             they become fewer, as `log_interval` says.
@@ -183,7 +183,7 @@ class Recorder:
         self._started = time.perf_counter()
 
     def state(self) -> dict[str, Any]:
-        """Return all that goes on, what is not yet on disk included, as `packing` can pack it."""
+        """Return the whole state, what is not yet on disk included, as `serialize` can pack it."""
         return {
             "n_parts": self._n_parts,
             "n_told": self._n_told,
@@ -220,12 +220,12 @@ class Recorder:
 
         Raises:
             ValueError: Zones are missing, there are zones and the world has none, or there is no
-                such zone (which on a GPU nobody notices).
+                such zone (which on a GPU is not checked).
         """
         if (zones is not None) != self._rows.has_zones:
             raise ValueError("record needs zones if, and only if, the recorder has zone_names")
         on_device = None if zones is None else torch.as_tensor(zones, device=step.errors.device)
-        self._sums.add(on_device, _summed_values(step))  # which refuses a zone that is none
+        self._sums.add(on_device, _summed_values(step))  # which refuses an unknown zone
         self._rows.add(step, on_device)
         if self._first_decision < 0:
             self._first_decision = step.number
@@ -312,7 +312,7 @@ class Recorder:
 
 
 def log_interval(n_decisions: int, log_every: int) -> int:
-    """Return how many decisions lie between two logs to TensorBoard, at some age of a run.
+    """Return how many decisions lie between two logs to TensorBoard, at a point of a run.
 
     `log_every`, doubled each time that the decisions taken double beyond the first
     `LOGS_PER_DOUBLING` intervals, twice.
@@ -340,7 +340,7 @@ def write_config(folder: Path, config: Mapping[str, Any]) -> None:
 
 
 def _summed_values(step: Step) -> list[Tensor]:
-    """Return what windows sum up, in the order of `summed_fields`."""
+    """Return the values that windows sum up, in the order of `summed_fields`."""
     expected = step.expected_errors
     unknown = torch.full_like(step.errors, torch.nan) if expected is None else expected
     values = [step.errors, unknown, step.progress, *(shadow.errors for shadow in step.shadows)]
@@ -356,7 +356,7 @@ def _claim(folder: Path, resume: bool) -> None:
     held = held or any(folder.glob(EVENTS))
     if (held or (folder / STEPS).exists()) and not resume:
         raise FileExistsError(f"{folder} already holds a run; resume it or choose another folder")
-    (folder / SUMMARY).unlink(missing_ok=True)  # it says that a run has ended
+    (folder / SUMMARY).unlink(missing_ok=True)  # its presence means that a run has ended
     for kind in (STEPS, WINDOWS):
         (folder / kind).mkdir(parents=True, exist_ok=resume)
 

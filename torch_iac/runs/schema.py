@@ -15,13 +15,13 @@ from torch_iac.regions.tree import NONE
 from torch_iac.space import Dimension, SensorimotorSpace
 
 MAIN = "main"
-"""What the experts that the robot acts on are called beside their shadows."""
+"""Name of the robot's own experts beside their shadows."""
 
 RESERVED = (MAIN, "mean", "expected")
-"""What no shadow can be called: errors of these names are others'."""
+"""Names that a shadow cannot have, since other errors have them."""
 
 USED_NETWORK = "used_network"
-"""What the column is called that says whether hybrid experts used the network."""
+"""The column that says whether hybrid experts used the network."""
 
 CONFIG = "config.json"
 STEPS = "steps"
@@ -30,11 +30,10 @@ REGIONS = "regions.parquet"
 SUMMARY = "summary.json"
 CHECKPOINTS = "checkpoints"
 EVENTS = "events.out.tfevents.*"
-"""What the files and folders in a run folder are called; the last are TensorBoard's."""
+"""Names of the files and folders in a run folder; the last are TensorBoard's."""
 
 WINDOW = 250
-"""How many decisions a window of time holds, if nobody says otherwise; and the windows in which
-runs keep what all their agents did."""
+"""Decisions in a window: by default, and in the sums that runs keep of all agents."""
 
 
 def region_table(genealogy: Genealogy, space: SensorimotorSpace) -> pa.Table:
@@ -112,7 +111,7 @@ def summed_fields(shadows: Sequence[str], is_hybrid: bool = False) -> list[str]:
 
 
 def sum_columns(columns: Sequence[str], zone_names: Sequence[str]) -> list[list[str]]:
-    """Return how a file calls the counts, then the sums of each column, zone by zone.
+    """Return the columns of the counts, then of the sums of each column, zone by zone.
 
     Args:
         columns: What is summed up.

@@ -24,7 +24,7 @@ N_DECILES = 10
 
 @dataclass(frozen=True)
 class Expectation:
-    """What MP expected of some decisions, and what came of them.
+    """MP's expected errors of some decisions, and the actual ones.
 
     Attributes:
         expected: The mean expected error, in scaled units; NaN if there are no such decisions.
@@ -98,7 +98,7 @@ def zone_shares(run: Run, window: int = WINDOW) -> NDArray[np.float64]:
         Shape `(W, A, Z)`.
 
     Raises:
-        ValueError: The world has no zones, or the window is none that was kept.
+        ValueError: The world has no zones, or no windows of that size were kept.
 
     Source: Oudeyer and Kaplan (2004), figure 3.
     """
@@ -116,8 +116,8 @@ def zone_errors(run: Run, column: str = "error", window: int = WINDOW) -> NDArra
         window: Decisions a window, as `zone_shares` has it.
 
     Returns:
-        Shape `(W, A, Z)`, in scaled units; NaN where an agent was not there. Without zones, one
-        stands for all.
+        Shape `(W, A, Z)`, in scaled units; NaN without decisions. In a world without zones there
+        is one column.
 
     Raises:
         ValueError: The window is none that was kept.
@@ -138,7 +138,7 @@ def summed_up(run: Run, column: str, window: int = WINDOW) -> WindowSums:
     """
     n_windows = run.n_decisions // window
     if window % WINDOW == 0 or window == run.n_decisions < WINDOW:
-        n_kept = -(-window // WINDOW)  # windows that were kept in one that is asked for
+        n_kept = -(-window // WINDOW)  # kept windows per window asked for
 
         def joined(values: NDArray[Any]) -> NDArray[Any]:
             shape = (n_windows, n_kept, *values.shape[1:])
@@ -165,15 +165,15 @@ def summed_up(run: Run, column: str, window: int = WINDOW) -> WindowSums:
 def by_decile(
     expected: NDArray[Any], actual: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what came of each tenth of the expectations, from the lowest to the highest.
+    """Return expected and actual errors by tenths of the expectation, from low to high.
 
     Args:
         expected: Shape `(T, A)`.
-        actual: Shape `(T, A)`, what came.
+        actual: Shape `(T, A)`, the errors.
 
     Returns:
-        The mean expectation of each tenth of each agent's decisions and the mean of what came,
-        each of shape `(10,)`, means over agents; NaN for tenths of nothing.
+        The mean expectation of each tenth of each agent's decisions and their mean error, each of
+        shape `(10,)`, means over agents; NaN for tenths of nothing.
     """
     order = np.argsort(expected, axis=0, kind="stable")
 
@@ -187,7 +187,7 @@ def by_decile(
 def known_mean(
     values: NDArray[Any], axis: int | None = None, where: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
-    """Return the mean of what is not NaN (and where asked); NaN, not a warning, for nothing.
+    """Return the mean of values that are not NaN; NaN, without a warning, if there are none.
 
     Args:
         values: Any shape.
@@ -208,7 +208,7 @@ def focus_steps(run: Run, zone: str, share: float, window: int = WINDOW) -> list
         The first decision of that window, agent by agent; None for an agent that never does.
 
     Raises:
-        ValueError: The world has no such zone, or the window is none that was kept.
+        ValueError: The world has no such zone, or no windows of that size were kept.
     """
     focused = zone_shares(run, window)[:, :, run.zone_names.index(zone)] > share
     return [int(mine.argmax()) * window if mine.any() else None for mine in focused.T]

@@ -1,4 +1,4 @@
-"""What is measured in a run, for its summary.
+"""The measures in a run's summary.
 
 Shapes: `T` decisions, `A` agents, `Z` zones.
 """
@@ -35,7 +35,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
 
     Args:
         run: The run.
-        seconds: How long it took (s), by the clock on the wall.
+        seconds: How long it took (s), in wall-clock time.
     """
     n_decisions, n_regions = run.n_decisions, count_regions(run)
     by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)
@@ -70,7 +70,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
 
 
 def _measures_by_zone(run: Run) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Return each measure of each zone, shape `(A,)`; NaN where there is nothing to measure."""
+    """Return each measure of each zone, shape `(A,)`; NaN without data."""
     if not run.zone_names:
         return {}
     measures = {
@@ -96,7 +96,7 @@ def _each_zone(
 
 
 def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
-    """Return each agent's mean error of late, in all and in each zone, shape `(A, 1 + Z)`."""
+    """Return each agent's recent mean error, in all and in each zone, shape `(A, 1 + Z)`."""
     first = max(0, run.n_decisions - SETTLING) // WINDOW
     late = run.window_sums[first:].total(0)
     by_zone = late.means(column)[0, :, : len(run.zone_names)]
@@ -104,7 +104,7 @@ def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
 
 
 def _network_share(run: Run) -> dict[str, Any]:
-    """Return in which share of their late decisions hybrid experts used the network."""
+    """Return the share of recent decisions in which hybrid experts used the network."""
     if not run.is_hybrid:
         return {}
     shares = _late_errors(run, USED_NETWORK)
@@ -143,7 +143,7 @@ def _describe_expectation(of: Expectation) -> dict[str, float | None]:
 
 
 def count_regions(run: Run) -> NDArray[np.int64]:
-    """Return how many regions each agent's cube is in at last, shape `(A,)`."""
+    """Return each agent's number of regions at the end, shape `(A,)`."""
     is_leaf = run.regions["split_step"].to_numpy() < 0
     return np.bincount(run.regions["agent"].to_numpy()[is_leaf], minlength=run.n_agents)
 

@@ -24,7 +24,7 @@ from torch_iac.runs.tensorboard_images import CalibrationChart, ProgressMap, his
 from torch_iac.runs.window_sums import WindowSums
 
 N_REGIONS_SHOWN = 200
-"""TensorBoard gets tags for so many regions of agent 0, the oldest; more would make it crawl."""
+"""Regions of agent 0 that have tags, the oldest; more would make TensorBoard slow."""
 
 MEAN_TAGS = {
     "progress": "progress/mean",
@@ -58,10 +58,10 @@ DESCRIPTIONS = {
     "that the meta-predictor expected, the next tenth and so on: what it expected on average, and "
     "what the error was. A calibrated one keeps to the diagonal.",
 }
-"""What is said of tags, beside them."""
+"""Descriptions of tags."""
 
 PLUGINS = {"simple_value": "scalars", "histo": "histograms", "image": "images"}
-"""Which part of TensorBoard shows which kind of value."""
+"""TensorBoard's plugin for each kind of value."""
 
 
 class Dashboard:
@@ -71,7 +71,7 @@ class Dashboard:
         folder: Where to write.
         n_agents: The regions of how many agents it will be shown.
         zone_names: The names of the world's zones; none if it has no zones.
-        shadows: The names of the experts that only look on.
+        shadows: The names of the shadow experts.
     """
 
     def __init__(
@@ -102,10 +102,10 @@ class Dashboard:
     def log(
         self, n_decisions: int, regions: RegionSummary, genealogy: Callable[[], Genealogy]
     ) -> None:
-        """Write what the decisions since the last log and the present regions have to tell.
+        """Log the decisions since the last log, and the present regions.
 
         Args:
-            n_decisions: How many decisions each agent has taken; there is at least one to tell of.
+            n_decisions: How many decisions each agent has taken; at least one since the last log.
             regions: The present leaves of the agents whose regions are shown.
             genealogy: Gives every region ever made; asked only when a picture is due.
         """
@@ -131,7 +131,7 @@ class Dashboard:
         self._writer.flush()
 
     def state(self) -> dict[str, Any]:
-        """Return all that goes on, and how far the files on disk go."""
+        """Return the whole state, and the sizes of the files on disk."""
         self.flush()
         sums = self._sums
         return {
@@ -155,7 +155,7 @@ class Dashboard:
                 path.unlink()
             elif path.stat().st_size > files[path.name]:
                 os.truncate(path, files[path.name])
-        if self._older:  # a TensorBoard that looks on forgets what was logged later, too
+        if self._older:  # a running TensorBoard drops what was logged later, too
             restart = SessionLog(status=SessionLog.START)
             self._writer.add_event(Event(session_log=restart), step=n_decisions + 1)
         if state:
@@ -178,7 +178,7 @@ class Dashboard:
 
 
 def _descriptions(zone_names: Sequence[str], shadows: Sequence[str]) -> dict[str, str]:
-    """Return what is said of the tags of each zone, rank and shadow."""
+    """Return the descriptions of the tags of each zone, rank and shadow."""
     texts = {f"error/{name}": f"Mean prediction error of the shadow {name}." for name in shadows}
     for rank in range(1, N_TOP + 1):
         texts[f"top_progress/{rank}"] = (

@@ -24,10 +24,10 @@ MAP_PIXELS = (384, 640)
 """Height and width of the map."""
 
 N_CALIBRATED = 1000
-"""Over how many of the last decisions of an agent the picture of MP's calibration goes."""
+"""Decisions of an agent, the last ones, in the picture of MP's calibration."""
 
 N_AGENTS_CALIBRATED = 64
-"""It goes over so many agents, the first."""
+"""Agents in it, the first ones."""
 
 CALIBRATION_PIXELS = 320
 """Its height and its width."""
@@ -37,7 +37,7 @@ LEAST_ERROR = 1e-6
 
 
 class CalibrationChart:
-    """What MP expected of the last decisions of the first agents, and what came of them."""
+    """MP's expected errors of the last decisions of the first agents, and the actual ones."""
 
     def __init__(self) -> None:
         self._expected, self._actual = np.empty((0, 0)), np.empty((0, 0))
@@ -128,7 +128,7 @@ class ProgressMap:
 
 
 def _paths(parents: list[int]) -> list[str]:
-    """Return the way from the root to each region: 0 for left, 1 for right, cut by cut."""
+    """Return the path from the root to each region: 0 for left, 1 for right, cut by cut."""
     paths = [""] * len(parents)
     has_left = set()
     for region, parent in enumerate(parents):
@@ -140,7 +140,7 @@ def _paths(parents: list[int]) -> list[str]:
 
 def _image(progress: NDArray[np.float64]) -> Summary.Image:
     """Return a picture of rows of progress: white is none, red positive, blue negative."""
-    from matplotlib import colormaps  # it takes long to import, and little is needed of it
+    from matplotlib import colormaps  # slow to import
 
     scale = float(np.abs(progress).max()) or 1.0
     rows, columns = (

@@ -1,6 +1,6 @@
-"""Sums over windows: how often agents were in each zone, and the sums of what came of it.
+"""Sums over windows of decisions: counts and sums of errors by agent and zone.
 
-They are how little of a large population is kept of every agent. Shapes: `A` agents, `Z` zones, `F`
+Of a large population, every agent has these sums at least. Shapes: `A` agents, `Z` zones, `F`
 columns that are summed up. In a world without zones, one zone stands for all.
 """
 
@@ -15,7 +15,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class WindowSums:
-    """How many decisions agents took in each zone, and what came of them, summed up.
+    """Counts of decisions, and sums of columns, by agent and zone.
 
     Attributes:
         counts: Shape `(..., A, Z)`, how many decisions.
@@ -36,7 +36,7 @@ class WindowSums:
         return WindowSums(self.counts[windows], {name: s[windows] for name, s in self.sums.items()})
 
     def total(self, *axes: int) -> "WindowSums":
-        """Return what some axes make together; they stay, with a length of 1."""
+        """Return the sums over some axes, which keep a length of 1."""
         sums = {name: of.sum(axis=axes, keepdims=True) for name, of in self.sums.items()}
         return WindowSums(self.counts.sum(axis=axes, keepdims=True), sums)
 
@@ -48,9 +48,9 @@ class WindowSums:
 
 
 class RunningSums:
-    """A sums that grows decision by decision, on the device where decisions are made.
+    """Sums that grow decision by decision, on the agents' device.
 
-    Nothing is copied from there before `take` is called.
+    Nothing is copied from there before `drain` is called.
 
     Args:
         n_agents: How many agents there are.
@@ -66,15 +66,15 @@ class RunningSums:
         self._ones = torch.ones(n_agents, dtype=torch.float64)
 
     def add(self, zones: Tensor | None, values: Sequence[Tensor]) -> None:
-        """Count in one decision of every agent.
+        """Add one decision of every agent.
 
         Args:
             zones: Shape `(A,)`, where each was; None in a world without zones.
             values: What each column gets, shape `(A,)`, all on one device.
 
         Raises:
-            ValueError: There is no such zone. On a GPU, which would make the loop wait, nobody
-                looks.
+            ValueError: There is no such zone. On a GPU this is not checked, since the loop would
+                wait.
         """
         if zones is not None and zones.device.type == "cpu":
             self._check(zones)
@@ -85,7 +85,7 @@ class RunningSums:
         self._sums.index_add_(1, cells, added)
 
     def drain(self) -> WindowSums:
-        """Return what was counted in since the last time, shape `(A, Z)`, and start anew."""
+        """Return the sums since the last time, shape `(A, Z)`, and start from 0."""
         counts, *sums = self._sums.numpy(force=True).reshape(len(self._sums), -1, self._n_zones)
         taken = WindowSums(
             counts.astype(np.int64),
@@ -95,7 +95,7 @@ class RunningSums:
         return taken
 
     def state(self) -> Tensor:
-        """Return what was counted in since the last time, shape `(1 + F, A * Z)`."""
+        """Return the sums since the last time, shape `(1 + F, A * Z)`."""
         return self._sums.clone()
 
     def load_state(self, state: Tensor) -> None:

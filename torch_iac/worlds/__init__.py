@@ -1,1 +1,1 @@
-"""Worlds of Gymnasium: made, bounded, vectorised and saved."""
+"""Gymnasium environments: making, bounds, vectors and saving."""

@@ -15,13 +15,13 @@ from torch_iac.space import MOST_BOUND, Dimension, names_of
 from torch_iac.worlds.vector import World, outcome_of
 
 MARGIN = 0.1
-"""Found bounds lie so far outside of what was read, as a share of its range."""
+"""Margin around the readings, as a share of their range, for bounds that are found."""
 
 STILL = 1e-6
-"""What ranges over less than this share of its size, or of 1, did not move."""
+"""A sensor whose range is a smaller share of its size, or of 1, counts as constant."""
 
 SEED = 0
-"""Bounds are found with this seed always: they are the world's, not a robot's."""
+"""Seed of the random decisions by which bounds are found, whatever the robots' seeds."""
 
 Floats = NDArray[np.floating[Any]]
 """A number for each sensor, shape `(sensor_dim,)`, in raw units."""
@@ -42,7 +42,7 @@ class Bounds:
     found: tuple[str, ...]
 
     def clip(self, world: World) -> World:
-        """Return worlds that read their sensors within the bounds, the bound itself beyond.
+        """Return the worlds with sensors clipped to the bounds.
 
         Raises:
             ValueError: They are natively vectorised.
@@ -56,7 +56,7 @@ class Bounds:
 
 
 class ClippedSensors(VectorWrapper):
-    """Worlds that read their sensors within bounds, the bound itself beyond.
+    """A wrapper that clips sensors to bounds.
 
     Args:
         env: The worlds.
@@ -99,7 +99,7 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
             low, high = map(float, numbers.split(","))
         except ValueError:
             raise ValueError(f"sensor bounds must be written name=low,high, got {text}") from None
-        Dimension(name, low, high)  # refuses what can be none
+        Dimension(name, low, high)  # refuses invalid bounds
         bounds[name] = (low, high)
     return bounds
 
@@ -125,7 +125,7 @@ def bounds_of(
     """
     box = world.single_observation_space
     if not isinstance(box, Box) or len(box.shape) != 1:
-        return None  # which no space is made of
+        return None  # refused when the space is made
     low, high, names = box.low.astype(float), box.high.astype(float), names_of(world, "sensor")
     for name, of_name in given.items():
         if name not in names:
@@ -143,10 +143,10 @@ def bounds_of(
 
 
 def recorded_bounds(config: Mapping[str, Any]) -> Bounds | None:
-    """Return the bounds that a run was made with, from its `config.json`; None if its world's own.
+    """Return the bounds of a run from its `config.json`; None if they are its world's own.
 
     Raises:
-        KeyError: The file lacks what belongs to them.
+        KeyError: The file lacks a part of them.
     """
     if "bounds" not in config:
         return None

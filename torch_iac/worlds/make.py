@@ -1,4 +1,4 @@
-"""The worlds that the command makes: which there are, and how their options are written."""
+"""Makes the worlds of an experiment."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ def make_world(
     """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
 
     Args:
-        name: One of `WORLDS`, or what Gymnasium calls a world, such as `Pendulum-v1` or
+        name: One of `WORLDS`, or an id of Gymnasium, such as `Pendulum-v1` or
             `module:id`.
         n_worlds: How many.
         options: Arguments of each.
@@ -74,7 +74,7 @@ def _batched(
 
 
 def _spec(name: str) -> EnvSpec:
-    """Return what Gymnasium knows of a world, once its module, if it names one, is imported."""
+    """Return Gymnasium's spec of a world; its module, if it names one, is imported."""
     module, _, world = WORLDS.get(name, name).rpartition(":")
     try:
         if module:
@@ -89,14 +89,14 @@ def _spec(name: str) -> EnvSpec:
 
 @contextmanager
 def _refusals(name: str, options: Mapping[str, Any]) -> Iterator[None]:
-    """Turn what worlds raise when they are made into a `ValueError`.
+    """Turn errors of worlds that cannot be made into a `ValueError`.
 
-    What may be a bug of the world's comes through, unless options may be to blame.
+    Without options, other exceptions are passed on, since they may be bugs of the world.
     """
     words = " ".join(f"{option}={value!s:.80}" for option, value in options.items())
     given = f" with {words}" if words else ""
     try:
-        with catch_warnings(action="ignore"):  # worlds refuse by themselves what is warned of
+        with catch_warnings(action="ignore"):  # worlds refuse what Gymnasium warns of
             yield
     except (ValueError, OSError, gym.error.Error):  # they say what is wrong
         raise

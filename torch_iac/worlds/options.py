@@ -14,12 +14,12 @@ KINDS: dict[Any, str] = {
     str: "a text",
     str | None: "a text or null",
 }
-"""What an argument of a world may be, in words."""
+"""Types of a world's arguments, in words."""
 
 EPISODES = {
     "max_episode_steps": Parameter("max_episode_steps", Parameter.KEYWORD_ONLY, annotation=int)
 }
-"""What Gymnasium takes for any world whose episodes it ends."""
+"""The argument that Gymnasium accepts for any world whose episodes it ends."""
 
 
 def parameters_of(entry_point: Any) -> Mapping[str, Parameter]:
@@ -31,7 +31,7 @@ def parameters_of(entry_point: Any) -> Mapping[str, Parameter]:
 def check_options(
     name: str, options: Mapping[str, Any], parameters: Mapping[str, Parameter]
 ) -> None:
-    """Refuse what the arguments of a world, as far as they are written down, do not take.
+    """Refuse options that a world does not have, or values of the wrong type.
 
     Raises:
         ValueError: An option is none of its arguments, or of another kind.
@@ -47,7 +47,7 @@ def check_options(
 
 
 def _kind(parameter: Parameter) -> Any:
-    """Return what an argument shall be: as it says, or else of the kind that it is by default."""
+    """Return the type of an argument: its annotation, or else the type of its default."""
     says_nothing = parameter.annotation is Parameter.empty
     return type(parameter.default) if says_nothing else parameter.annotation
 

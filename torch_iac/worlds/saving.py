@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from torch_iac.worlds.vector import World
 
 STATE = "full_state"
-"""The attribute by which a single world is saved and goes on exactly; it can be read and set."""
+"""The attribute of a single world that holds its exact state; it can be read and set."""
 
 
 class Replayed(VectorWrapper):
     """A vector of worlds whose state is its seeds and all actions since.
 
-    To go on from a state, all actions are taken again. So it takes as long as the world took to
-    come there, and only a world that repeats itself can go on: whatever happens in it by chance
-    must come from the seed of its `reset`.
+    To go on from a state, all actions are repeated, which takes as long as the first time. The
+    world must be deterministic: its random numbers must all come from the seed of its `reset`.
 
     Args:
         env: The worlds; they take float32 actions, and sensors are arrays.
@@ -41,7 +40,7 @@ class Replayed(VectorWrapper):
         return self._sensors, info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take an action in each world, and remember it."""
+        """Take an action in each world, and store it."""
         self._actions += np.asarray(actions, np.float32).tobytes()
         self._sensors, rewards, terminated, truncated, info = self.env.step(actions)
         return self._sensors, rewards, terminated, truncated, info
@@ -83,7 +82,7 @@ class Replayed(VectorWrapper):
 
 
 def world_state(env: World) -> Any:
-    """Return what the future of some worlds depends on.
+    """Return the state of some worlds.
 
     Raises:
         AttributeError: They have neither `get_state` nor `STATE`.
@@ -108,7 +107,7 @@ def _saved_as_one(env: World) -> World:
 
 
 def savable(env: World) -> World:
-    """Return single worlds as they are if they can be saved, else such that they are replayed."""
+    """Return the worlds themselves if they can be saved, else wrapped in `Replayed`."""
     worlds = getattr(env, "envs", ())
     know_how = all(hasattr(type(world.unwrapped), STATE) for world in worlds)
     return env if know_how else Replayed(env)

@@ -1,4 +1,4 @@
-"""Vectors of worlds, and episodes that end in worlds that begin anew by themselves."""
+"""Vectors of worlds, and the ends of episodes in worlds that reset themselves."""
 
 from typing import Any
 
@@ -18,17 +18,17 @@ def outcome_of(
     is_over: NDArray[np.bool_] | Tensor,
     info: dict[str, Any],
 ) -> Any:
-    """Return what the sensors read after an action, in worlds that then began anew too.
+    """Return the sensors after an action, also in worlds that have reset themselves since.
 
     Args:
         env: The worlds.
         sensors: Shape `(A, sensor_dim)`, what they showed last.
         is_over: Shape `(A,)`, whether an episode ended with the action.
-        info: What they said of it.
+        info: What `step` returned.
 
     Raises:
         ValueError: An episode ended in worlds that do not show its end; those made with
-            `AutoresetMode.SAME_STEP` do, and those that do not begin anew by themselves.
+            `AutoresetMode.SAME_STEP` do, and those that do not reset themselves.
     """
     mode = env.metadata.get("autoreset_mode")
     if mode == AutoresetMode.DISABLED or not is_over.any():
