@@ -9,6 +9,7 @@ Source: Oudeyer, Kaplan and Hafner (2007), who test on transitions collected und
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -183,11 +184,18 @@ def record_tests(agent: IAC, sets: Mapping[str, Transitions], folder: Path) -> N
 def sets_aside(world: str, options: Mapping[str, Any]) -> dict[str, Transitions]:
     """Return the test sets of a toy room: transitions in f2, of two kinds.
 
+    They are collected once a process, which takes seconds: a worker makes many runs in one world.
+
     Args:
         world: Its name in an experiment.
         options: Its arguments.
     """
-    env = make_world(world, 1, options, torch.device("cpu"))
+    return _collected(world, tuple(sorted(options.items())))
+
+
+@cache
+def _collected(world: str, options: tuple[tuple[str, Any], ...]) -> dict[str, Transitions]:
+    env = make_world(world, 1, dict(options), torch.device("cpu"))
     space = SensorimotorSpace.from_env(env, outcomes=["toy_distance"])
     sets = {
         name: collect(env, space, N_TESTED, seed=TEST_SEED, zone=F2, anew=anew)
