@@ -18,6 +18,7 @@ from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts
 from torch_iac.internal.devices import available_device
+from torch_iac.internal.files import parse_json
 from torch_iac.internal.parts import build, make_importable
 from torch_iac.internal.processor import described, processor, rounds_alike
 from torch_iac.internal.validation import check_count
@@ -460,8 +461,6 @@ def load_experiment(path: Path | str) -> Experiment:
         FileNotFoundError: There is none.
         ValueError: It is no experiment; the message says why.
     """
-    from torch_iac.internal.files import parse_json
-
     path = Path(path)
     if path.is_dir():
         return experiment_of(load_run(path))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
 from torch_iac.experts.stacked_networks import MLP
 from torch_iac.internal.parts import import_object, make_importable
+from torch_iac.internal.suggestions import suggested_one
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
 EXPERTS: dict[str, type[Experts]] = {
@@ -89,8 +89,7 @@ def named(kind: str, name: str) -> Any:
     if name in known:
         return known[name]()
     if ":" not in name:
-        near = get_close_matches(name, known, 1)
-        perhaps = f"; perhaps you meant {near[0]}" if near else ""
+        perhaps = suggested_one(name, known)
         raise ValueError(f"{kind} must be {', '.join(known)} or module:Name, got {name}{perhaps}")
     make_importable(Path.cwd())
     found = import_object(name, kind)

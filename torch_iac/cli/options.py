@@ -122,10 +122,9 @@ class Train:
         Raises:
             ValueError: A number is out of its range.
         """
-        names = {f.name for f in fields(Experiment)} & {f.name for f in fields(self)}
         shadows = {name: named("experts", name) for name in self.shadows}
         return Experiment(
-            **{name: getattr(self, name) for name in names - {"config", *_TEXTS}},
+            **{name: getattr(self, name) for name in _same_fields()},
             config=replace(self.iac, shadows=shadows) if shadows else self.iac,
             seeds=range(self.seed, self.seed + self.agents),
             world_options=parse_options(self.world_options),
@@ -133,8 +132,13 @@ class Train:
         )
 
 
-_TEXTS = ("world_options", "sensor_bounds")
-"""Fields that are texts in `Train` and values in `Experiment`."""
+def _same_fields() -> set[str]:
+    """Return the fields that are the same in `Train` and in `Experiment`.
+
+    Not so `config`, a file there and numbers here, nor those that are texts there and values here.
+    """
+    names = {f.name for f in fields(Experiment)} & {f.name for f in fields(Train)}
+    return names - {"config", "world_options", "sensor_bounds"}
 
 
 def experiment_of(words: Sequence[str]) -> Experiment:
@@ -212,10 +216,9 @@ def _from_file(path: Path) -> Train:
     first, n_agents = experiment.seeds[0], len(experiment.seeds)
     if list(experiment.seeds) != list(range(first, first + n_agents)):
         raise ValueError(f"seeds in {path} must follow each other, got {experiment.seeds}")
-    names = {f.name for f in fields(Experiment)} & {f.name for f in fields(Train)}
     bounds = experiment.sensor_bounds.items()
     return Train(
-        **{name: getattr(experiment, name) for name in names - {"config", *_TEXTS}},
+        **{name: getattr(experiment, name) for name in _same_fields()},
         seed=first,
         agents=n_agents,
         world_options=tuple(f"{n}={dumps(of)}" for n, of in experiment.world_options.items()),

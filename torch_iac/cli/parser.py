@@ -11,7 +11,6 @@ from argparse import (
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, fields, is_dataclass, replace
 from decimal import Decimal, InvalidOperation
-from difflib import get_close_matches
 from functools import cache, partial
 from inspect import cleandoc
 from pathlib import Path
@@ -19,6 +18,8 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from docstring_parser import parse_from_object
+
+from torch_iac.internal.suggestions import suggested
 
 Options = TypeVar("Options")
 """A dataclass whose fields are options."""
@@ -28,9 +29,6 @@ POSITIONAL, REPEATED = "positional", "repeated"
 
 MAX_DIGITS = 4_000
 """Python itself reads no longer whole numbers."""
-
-N_SUGGESTIONS, LIKENESS = 3, 0.75
-"""How many names are suggested at most, and how like (1 is equal) what was typed they are."""
 
 
 class Parser(ArgumentParser):
@@ -95,7 +93,7 @@ class Parser(ArgumentParser):
                 said = f"{error.argument_name}{' ' if said.startswith('must') else ': '}{said}"
             self.error(said)
         if unknown:
-            near = suggested(unknown[0], self._names)
+            near = suggested(unknown[0].partition("=")[0], self._names)
             self.error(f"Unrecognized options: {', '.join(map(typed.__getitem__, unknown))}{near}")
         values = vars(namespace).items()
         return {name: tuple(of) if isinstance(of, list) else of for name, of in values}
@@ -150,12 +148,6 @@ def sentence_of(kind: type) -> str:
     return text
 
 
-def suggested(word: str, known: Sequence[str]) -> str:
-    """Return `; perhaps you meant ...` if a word is like some that are known, else nothing."""
-    near = get_close_matches(word.partition("=")[0], known, N_SUGGESTIONS, LIKENESS)
-    return f"; perhaps you meant {', '.join(near)}" if near else ""
-
-
 def whole_number(text: str) -> int:
     """Return the whole number that a text such as 10000, 10_000 or 1e4 is.
 
@@ -197,6 +189,10 @@ def is_parts(value: Any) -> bool:
     return isinstance(value, tuple) and bool(value) and all(map(is_part, value))
 
 
+Reader = tuple[bool, str, Callable[[str], Any], str | int | None]
+"""How words become a value: whether it is a switch; how the help shows a word; what makes it of a
+word; how many words."""
+
 READERS: dict[Any, tuple[str, Callable[[str], Any]]] = {
     int: ("INT", whole_number),
     float: ("FLOAT", number),
@@ -212,13 +208,15 @@ class _Option:
 
     Attributes:
         name: How it is called, with underscores.
-        hint: Its type.
+        reader: How it is read.
+        marks: What its annotation says besides its type.
         default: Its value if it is not given.
         owner: The class that has the field.
     """
 
     name: str
-    hint: Any
+    reader: Reader
+    marks: tuple[Any, ...]
     default: Any
     owner: type
 
@@ -227,7 +225,7 @@ class _Option:
         """What the field's docstring says, and the default."""
         text = _texts(self.owner).get(self.name.rpartition(".")[2], "")
         text = text.replace("\n", " ").replace("%", "%%")
-        if POSITIONAL in _marks(self.hint) or self.default is None or self.default == ():
+        if POSITIONAL in self.marks or self.default is None or self.default == ():
             return text
         shown = str(self.default)
         if isinstance(self.default, bool):
@@ -248,8 +246,8 @@ def _options(defaults: Any, prefix: str, names: Container[str] | None = None) ->
         elif is_parts(value):
             for i, part in enumerate(value):
                 yield from _options(part, f"{name}.{i}.")
-        elif _reader(hint):
-            yield _Option(name, hint, value, type(defaults))
+        elif reader := _reader(hint):
+            yield _Option(name, reader, _marks(hint), value, type(defaults))
 
 
 def _fields(defaults: Any) -> list[tuple[Field[Any], Any]]:
@@ -263,20 +261,18 @@ def _fields(defaults: Any) -> list[tuple[Field[Any], Any]]:
 
 def _add(group: Any, option: _Option) -> Action:
     """Add an option to a group of a parser."""
-    is_switch, metavar, read, n_words = _reader(option.hint) or (False, "", str, None)
-    name, default, marks = option.name, option.default, _marks(option.hint)
-    given: dict[str, Any] = {"dest": name, "default": default}
-    action: Action
-    if POSITIONAL in marks:
-        action = group.add_argument(name, type=read, metavar=name.upper())
-        return action
-    if is_switch:
+    is_switch, metavar, read, n_words = option.reader
+    name, default = option.name, option.default
+    names, given = [f"--{name.replace('_', '-')}"], {"dest": name, "default": default}
+    if POSITIONAL in option.marks:
+        names, given = [name], {"type": read, "metavar": name.upper()}
+    elif is_switch:
         given |= {"action": BooleanOptionalAction}
-    elif REPEATED in marks:
+    elif REPEATED in option.marks:
         given |= {"action": "append", "default": list(default), "type": read, "metavar": metavar}
     else:
         given |= {"nargs": n_words, "type": read, "metavar": metavar}
-    action = group.add_argument(f"--{name.replace('_', '-')}", **given)
+    action: Action = group.add_argument(*names, **given)
     return action
 
 
@@ -285,12 +281,8 @@ def _marks(hint: Any) -> tuple[Any, ...]:
     return get_args(hint)[1:] if get_origin(hint) is Annotated else ()
 
 
-def _reader(hint: Any) -> tuple[bool, str, Callable[[str], Any], str | int | None] | None:
-    """Return how words become a value of a type; None where they cannot.
-
-    Returns:
-        Whether it is a switch; how the help shows a word; what makes it of a word; how many words.
-    """
+def _reader(hint: Any) -> Reader | None:
+    """Return how words become a value of a type; None where they cannot."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) in (Union, UnionType):
@@ -313,9 +305,8 @@ def _reader(hint: Any) -> tuple[bool, str, Callable[[str], Any], str | int | Non
 def _one_of(choices: Sequence[str]) -> Callable[[str], str]:
     def read(text: str) -> str:
         if text not in choices:
-            raise ArgumentTypeError(
-                f"must be {' or '.join(choices)}, got {text}{suggested(text, choices)}"
-            )
+            near = suggested(text.partition("=")[0], choices)
+            raise ArgumentTypeError(f"must be {' or '.join(choices)}, got {text}{near}")
         return text
 
     return read

@@ -9,8 +9,9 @@ about all values, the parser decides.
 import ast
 import re
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
+
+from torch_iac.internal.suggestions import suggested, suggested_one
 
 DECLARING = (
     "cli/options",
@@ -40,9 +41,6 @@ VALUE = re.compile(r"-?\d.*|-|[^-].*|", re.DOTALL)
 OWN = re.compile(r"(--(experts|drive|choice|shadows)=)?\w[\w.]*:\w")
 """A part of a user's own, such as `my_module:MyNet`."""
 
-N_SUGGESTIONS, LIKENESS = 3, 0.75
-"""How many names are suggested at most, and how like (1 is equal) what was typed they are."""
-
 
 def check_command(word: str, commands: Sequence[str]) -> None:
     """Refuse a word that is no command.
@@ -51,10 +49,9 @@ def check_command(word: str, commands: Sequence[str]) -> None:
         ValueError: It is none; the message says which there are, and which was perhaps meant.
     """
     if word not in commands:
-        near = get_close_matches(word, commands, 1)
-        perhaps = f"; perhaps you meant {near[0]}" if near else ""
         raise ValueError(
-            f"the command must be one of {', '.join(commands)}, got {word}{perhaps} "
+            f"the command must be one of {', '.join(commands)}, got {word}"
+            f"{suggested_one(word, commands)} "
             "(see torch-iac --help)"
         )
 
@@ -71,8 +68,7 @@ def check_options(words: Sequence[str]) -> None:
     unknown = list(_unknown(words, known)) if known else []
     if unknown:
         typed = NAME.match(unknown[0])
-        near = get_close_matches(_plain(typed[1]), known, N_SUGGESTIONS, LIKENESS) if typed else []
-        perhaps = f"; perhaps you meant {', '.join(f'--{name}' for name in near)}" if near else ""
+        perhaps = suggested(_plain(typed[1]), known, prefix="--") if typed else ""
         raise ValueError(
             f"Unrecognized options: {', '.join(unknown)}{perhaps} (see torch-iac train --help)"
         )
