@@ -33,7 +33,16 @@ from scripts.studies.reproduce_paper import (
 from torch_iac import HybridExperts, MLPExperts, load_agent
 from torch_iac.analysis.bootstrap import difference, mean
 from torch_iac.analysis.generalisation import F2
-from torch_iac.analysis.style import COLOURS, STYLE, legend, save
+from torch_iac.analysis.style import (
+    COLOURS,
+    LINES,
+    STYLE,
+    band_style,
+    legend,
+    save,
+    time_axis,
+    zone_colour,
+)
 from torch_iac.experiment import experiment_of
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import USED_NETWORK, WINDOW
@@ -56,9 +65,6 @@ REFERENCE = "knn"
 
 N_SPANS = 5
 """Into how many spans of time the table of shares divides a run."""
-
-LINES = ("-", "--", ":")
-"""How the zones' lines are drawn, so that they can be told apart in grey."""
 
 N_TIMED = 100
 """How many more decisions are timed at the end of a run."""
@@ -192,16 +198,21 @@ def print_network_shares(runs: Sequence[Run]) -> None:
 
 def draw_network_shares(runs: Sequence[Run]) -> Figure:
     """Return the share of decisions for which the network was used, by zone, over time."""
-    shares = known_mean(network_shares(runs), axis=0)
+    shares = network_shares(runs)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(4.2, 2.7), layout="constrained")
         panel = figure.subplots()
-        steps = (np.arange(len(shares)) + 1) * WINDOW
+        steps = (np.arange(shares.shape[1]) + 1) * WINDOW
         for zone, (name, line) in enumerate(zip(runs[0].zone_names, LINES, strict=False)):
-            panel.plot(steps, shares[:, zone], line, color=COLOURS[zone], label=name)
-            panel.annotate(f" {name}", (steps[-1], shares[-1, zone]), fontsize=8)
+            found = [mean(of[np.isfinite(of)]) for of in shares[:, :, zone].T]
+            means, low, high = np.array([(of.value, of.low, of.high) for of in found]).T
+            colour = zone_colour(zone)
+            panel.plot(steps, means, line, color=colour, label=name, linewidth=1.2)
+            panel.fill_between(steps, low, high, **band_style(colour))
         panel.axhline(0.5, color="0.8", linewidth=0.8, zorder=0)
-        panel.set(xlabel="Decision", ylabel="Share of decisions with the network", ylim=(0, 1))
+        panel.set(ylabel="Share of decisions with the network", ylim=(0, 1))
+        time_axis(panel, int(steps[-1]))
+        legend(figure, panel.get_legend_handles_labels()[0])
     return figure
 
 

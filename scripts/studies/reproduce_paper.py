@@ -10,6 +10,7 @@ and draws the generalisation tests. Runs that are in the folder already are not 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,7 +37,7 @@ from scripts.studies.claims import (
 )
 from torch_iac.analysis.bootstrap import band, mean
 from torch_iac.analysis.generalisation import F2, sets_aside, tests_of
-from torch_iac.analysis.style import COLOURS, STYLE, legend, save, time_axis
+from torch_iac.analysis.style import COLOURS, LINES, STYLE, legend, save, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
@@ -257,9 +258,10 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
 
 def draw_curves(panel: Axes, curves: Mapping[str, tuple[str, Sequence[Run]]], which: str) -> None:
     """Draw how errors go on a test set: under each label, in a colour, of some runs."""
-    for label, (colour, runs) in curves.items():
+    lines = cycle(LINES)  # so that they can be told apart in grey
+    for (label, (colour, runs)), line in zip(curves.items(), lines, strict=False):
         steps, errors = tests_of(runs, which, "absolute")
-        panel.plot(steps, errors.mean(axis=1), color=colour, label=label, linewidth=1.2)
+        panel.plot(steps, errors.mean(axis=1), line, color=colour, label=label, linewidth=1.2)
         panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
     time_axis(panel, int(steps[-1]), n_ticks=4)
     panel.set_yscale("log")

@@ -75,7 +75,7 @@ def legend(figure: Figure, key: Sequence[Artist], n_columns: int | None = None) 
         loc="outside upper center",
         ncols=n_columns or len(key),
         frameon=False,
-        handlelength=1.4,
+        handlelength=2.0,  # shows a dashed line as one
         columnspacing=1.2,
     )
 
