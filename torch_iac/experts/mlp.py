@@ -1,0 +1,52 @@
+"""Multi-layer perceptrons."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import nn
+
+from torch_iac.internal.validation import check_count
+
+
+@dataclass(frozen=True)
+class MLP:
+    """Makes multi-layer perceptrons with ReLU.
+
+    Raises:
+        ValueError: A layer has no units or too many.
+    """
+
+    hidden: tuple[int, ...] = (32, 32)
+    """Units of each hidden layer."""
+
+    def __post_init__(self) -> None:
+        if any(units < 1 for units in self.hidden):
+            raise ValueError(f"hidden must be at least 1 unit a layer, got {self.hidden}")
+        for units in self.hidden:
+            check_count("hidden", units)
+
+    def __call__(self, n_inputs: int, n_outputs: int) -> nn.Module:
+        """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`."""
+        layers: list[nn.Module] = []
+        for n_in, n_out in self.sizes(n_inputs, n_outputs):
+            layers += [_linear_layer(n_in, n_out), nn.ReLU()]
+        return nn.Sequential(*layers[:-1])
+
+    def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
+        """Return the numbers of inputs and outputs of each layer."""
+        return list(pairwise((n_inputs, *self.hidden, n_outputs)))
+
+
+def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
+    """Return a linear layer with torch's usual initial weights, the same on every processor.
+
+    They are uniform within 1 / sqrt(n_inputs), from the same random numbers as `nn.Linear`'s own,
+    whose `uniform_` rounds as the processor does.
+    """
+    layer: nn.Linear = nn.utils.skip_init(nn.Linear, n_inputs, n_outputs)  # type: ignore[no-untyped-call]
+    with torch.no_grad():
+        for weights in (layer.weight, layer.bias):
+            weights.copy_((torch.rand(weights.shape) * 2 - 1) * (1 / math.sqrt(n_inputs)))
+    return layer
