@@ -27,11 +27,19 @@ class MLP:
         for units in self.hidden:
             check_count("hidden", units)
 
-    def __call__(self, n_inputs: int, n_outputs: int) -> nn.Module:
-        """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`."""
+    def __call__(
+        self, n_inputs: int, n_outputs: int, generator: torch.Generator | None = None
+    ) -> nn.Module:
+        """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`.
+
+        Args:
+            n_inputs: Its inputs.
+            n_outputs: Its outputs.
+            generator: What its weights are drawn from; torch's own if not given.
+        """
         layers: list[nn.Module] = []
         for n_in, n_out in self.sizes(n_inputs, n_outputs):
-            layers += [_linear_layer(n_in, n_out), nn.ReLU()]
+            layers += [_linear_layer(n_in, n_out, generator), nn.ReLU()]
         return nn.Sequential(*layers[:-1])
 
     def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
@@ -39,7 +47,7 @@ class MLP:
         return list(pairwise((n_inputs, *self.hidden, n_outputs)))
 
 
-def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
+def _linear_layer(n_inputs: int, n_outputs: int, generator: torch.Generator | None) -> nn.Linear:
     """Return a linear layer with torch's usual initial weights, the same on every processor.
 
     They are uniform within 1 / sqrt(n_inputs), from the same random numbers as `nn.Linear`'s own,
@@ -48,5 +56,7 @@ def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
     layer: nn.Linear = nn.utils.skip_init(nn.Linear, n_inputs, n_outputs)  # type: ignore[no-untyped-call]
     with torch.no_grad():
         for weights in (layer.weight, layer.bias):
-            weights.copy_((torch.rand(weights.shape) * 2 - 1) * (1 / math.sqrt(n_inputs)))
+            weights.copy_(
+                (torch.rand(weights.shape, generator=generator) * 2 - 1) * (1 / math.sqrt(n_inputs))
+            )
     return layer

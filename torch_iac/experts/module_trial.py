@@ -48,7 +48,7 @@ def try_module(module: RowModule, batch_size: int) -> None:
     trial = _Trial(module, batch_size)
     for is_learning in (False, True):
         module.is_batched[is_learning] = False
-        with _naming_layer(module, is_learning), _keeping_attributes(module, is_learning):
+        with _keeping_attributes(module, is_learning), _naming_layer(module, is_learning):
             alone = trial.answer(is_learning)
             again = trial.answer(is_learning)
         _check_answers(module, alone, again)

@@ -108,7 +108,7 @@ class StackedNetworks(Stateful):
         self._module = RowModule(factory, n_inputs, n_outputs, device)
         self._sizes = [shape.numel() for shape in self._module.shapes.values()]
         self._layers = _linear_layers(self._module.template)
-        if not isinstance(factory, MLP):
+        if type(factory) is not MLP:
             try_module(self._module, training.minibatch_size)
             self._layers = self._layers if self._is_plain() else []
         self._perceptron = _perceptron_sizes(self._layers) if device.type == "cpu" else []

@@ -8,13 +8,11 @@ from typing import ParamSpec, TypeVar
 
 import torch
 
-Parameters = ParamSpec("Parameters")
-Result = TypeVar("Result")
+Parameters, Result = ParamSpec("Parameters"), TypeVar("Result")
+"""A function keeps its type."""
 
 DTYPE, PRECISION = torch.float32, "highest"
 """Torch's own default type of real numbers, and how exact its matrix products are by default."""
-
-CPU = torch.device("cpu")
 
 
 def with_torch_defaults(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
@@ -34,7 +32,7 @@ def with_torch_defaults(function: Callable[Parameters, Result]) -> Callable[Para
             with ExitStack() as stack:
                 stack.enter_context(torch.inference_mode(mode=False))
                 stack.enter_context(torch.set_grad_enabled(is_grad))
-                stack.enter_context(CPU)
+                stack.enter_context(torch.device("cpu"))
                 stack.enter_context(torch.autocast("cpu", enabled=False))
                 if torch.is_autocast_enabled("cuda"):
                     stack.enter_context(torch.autocast("cuda", enabled=False))
