@@ -8,8 +8,11 @@ from typing import ParamSpec, TypeVar
 
 import torch
 
-Parameters, Result = ParamSpec("Parameters"), TypeVar("Result")
-"""A function keeps its type."""
+Parameters = ParamSpec("Parameters")
+"""What a function is called with, which stays the same."""
+
+Result = TypeVar("Result")
+"""What it returns."""
 
 DTYPE, PRECISION = torch.float32, "highest"
 """Torch's own default type of real numbers, and how exact its matrix products are by default."""
