@@ -24,7 +24,7 @@ from torch import Tensor
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.agent import IAC
 from torch_iac.config import IACConfig
-from torch_iac.experts import stacked_networks as stacked
+from torch_iac.experts import mlp
 from torch_iac.experts.network import MLPExperts
 from torch_iac.experts.stacked_networks import StackedNetworks, Training
 from torch_iac.internal.losses import LOSSES
@@ -81,7 +81,7 @@ def learnt(rows: Sequence[int], n_networks: int = 40) -> list[Tensor]:
         inputs = torch.rand(n_networks, 2 * size, n_inputs, generator=generator)
         targets = torch.rand(n_networks, 2 * size, n_outputs, generator=generator)
         cpu = torch.device("cpu")
-        networks = StackedNetworks(stacked.MLP(hidden), n_inputs, n_outputs, Training(), cpu)
+        networks = StackedNetworks(mlp.MLP(hidden), n_inputs, n_outputs, Training(), cpu)
         networks.reserve(n_networks)
         networks.start(torch.arange(n_networks), range(n_networks))
         for loss in LOSSES:

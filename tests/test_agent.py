@@ -474,16 +474,18 @@ def test_a_loss_that_is_not_finite_is_named(
 
 
 class Breaking(nn.Module):
-    """A layer that answers NaN from its 60th call on."""
+    """A layer that answers NaN from its 60th step of training on."""
+
+    n_steps: Tensor
 
     def __init__(self, n_inputs: int, n_outputs: int) -> None:
         super().__init__()
-        self.layer, self.n_calls = nn.Linear(n_inputs, n_outputs), 0
+        self.layer = nn.Linear(n_inputs, n_outputs)
+        self.register_buffer("n_steps", torch.tensor(0))
 
     def forward(self, situations: Tensor) -> Tensor:
-        self.n_calls += 1
-        outputs: Tensor = self.layer(situations)
-        return outputs * math.nan if self.n_calls >= 60 else outputs
+        self.n_steps += self.training
+        return torch.where(self.n_steps >= 60, math.nan, self.layer(situations))
 
 
 @pytest.mark.parametrize(

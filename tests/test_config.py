@@ -8,8 +8,9 @@ from torch_iac.config import PRESETS, IACConfig
 from torch_iac.drives.choices import Greedy
 from torch_iac.drives.learning_progress import Progress
 from torch_iac.experts.knn import KNNExperts
+from torch_iac.experts.mlp import MLP
 from torch_iac.experts.network import MLPExperts, NetworkTraining
-from torch_iac.experts.stacked_networks import MLP, Training
+from torch_iac.experts.stacked_networks import Training
 from torch_iac.meta_predictor import MetaPredictor
 
 PARTS = ("experts", "drive", "choice", "meta", "improvement", "shadows")

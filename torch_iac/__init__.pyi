@@ -29,11 +29,11 @@ from .experiment import load_experiment as load_experiment
 from .experiment import resume as resume
 from .experts.hybrid import HybridExperts as HybridExperts
 from .experts.knn import KNNExperts as KNNExperts
+from .experts.mlp import MLP as MLP
 from .experts.network import MLPExperts as MLPExperts
 from .experts.network import NetworkExperts as NetworkExperts
 from .experts.protocol import ExpertPool as ExpertPool
 from .experts.protocol import Experts as Experts
-from .experts.stacked_networks import MLP as MLP
 from .internal.state import Stateful as Stateful
 from .meta_predictor import ImprovementPredictor as ImprovementPredictor
 from .meta_predictor import MetaPredictor as MetaPredictor

@@ -17,6 +17,7 @@ from torch_iac.internal.devices import available_device
 from torch_iac.internal.randomness import RandomStream
 from torch_iac.internal.scaling import Scale
 from torch_iac.internal.state import State, Stateful
+from torch_iac.internal.torch_defaults import with_torch_defaults
 from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
 from torch_iac.regions.cuts import best_cut
 from torch_iac.regions.error_history import ErrorHistory
@@ -97,6 +98,7 @@ class IAC(Stateful):
         "improvement",
     )
 
+    @with_torch_defaults
     def __init__(
         self,
         space: SensorimotorSpace,
@@ -162,6 +164,7 @@ class IAC(Stateful):
         """How many robots there are."""
         return len(self.seeds)
 
+    @with_torch_defaults
     @torch.no_grad()
     def act(self, sensors: Array) -> Array:
         """Return the action that each agent takes now.
@@ -192,6 +195,7 @@ class IAC(Stateful):
         self._decision = _Decision(readings, actions, situations, nodes, random)
         return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
 
+    @with_torch_defaults
     @torch.no_grad()
     def set_actions(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> None:
         """Register externally chosen actions, instead of choosing them by `act`.
@@ -212,6 +216,7 @@ class IAC(Stateful):
             readings, given, candidates.situations[:, 0], nodes[:, 0], random
         )
 
+    @with_torch_defaults
     @torch.no_grad()
     def worth(self, actions: np.ndarray | Tensor, sensors: np.ndarray | Tensor) -> Tensor:
         """Return the worth of an action to each agent now, according to the config's drive.
@@ -230,6 +235,7 @@ class IAC(Stateful):
         _, _, candidates, _ = self._told(actions, sensors)
         return self._worth(candidates)[:, 0]
 
+    @with_torch_defaults
     @torch.no_grad()
     def observe(self, sensors: np.ndarray | Tensor) -> Step:
         """Learn from what the sensors read after the action.
@@ -279,6 +285,7 @@ class IAC(Stateful):
         self._decision = None
         return step
 
+    @with_torch_defaults
     @torch.no_grad()
     def predict(self, actions: Array, sensors: Array) -> Array:
         """Return each agent's predictions for some situations, without learning from them.
@@ -303,6 +310,7 @@ class IAC(Stateful):
         predictions = self._outcome_scale.to_raw(predictions)
         return predictions.cpu().numpy() if isinstance(sensors, np.ndarray) else predictions
 
+    @with_torch_defaults
     def state(self) -> State:
         """Return a copy of all that the future decisions depend on, besides the world.
 
@@ -314,6 +322,7 @@ class IAC(Stateful):
             raise RuntimeError("a state lies between two decisions: call observe first")
         return super().state()
 
+    @with_torch_defaults
     def load_state(self, state: State) -> None:
         """Go on, bit for bit, from what `state` returned.
 
@@ -326,6 +335,7 @@ class IAC(Stateful):
         super().load_state(state)
         self._decision = None
 
+    @with_torch_defaults
     @torch.no_grad()
     def expert(self, region: int, agent: int = 0) -> Any:
         """Return a copy of what predicts in a region now.
@@ -355,10 +365,12 @@ class IAC(Stateful):
             raise ValueError(f"experts must have a method expert for this, got {name}")
         return self.experts.expert(self.examples, int(self.tree.rows[found[0]]))
 
+    @with_torch_defaults
     def genealogy(self) -> Genealogy:
         """Return every region ever made."""
         return self.tree.genealogy(self.examples.counts)
 
+    @with_torch_defaults
     def region_summary(self, n_agents: int | None = None) -> RegionSummary:
         """Return what each present leaf knows.
 

@@ -19,9 +19,9 @@ from torch_iac.drives.learning_progress import (
 from torch_iac.drives.protocol import Drive
 from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.experts.knn import KNNExperts
+from torch_iac.experts.mlp import MLP
 from torch_iac.experts.network import MLPExperts, NetworkExperts
 from torch_iac.experts.protocol import Experts
-from torch_iac.experts.stacked_networks import MLP
 from torch_iac.internal.parts import import_object, make_importable
 from torch_iac.internal.suggestions import suggested_one
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor

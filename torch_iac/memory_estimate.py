@@ -13,9 +13,11 @@ import torch
 
 from torch_iac.config import IACConfig
 from torch_iac.experts.hybrid import HybridExperts
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.modules import RowModule, buffers_of, weights_of
 from torch_iac.experts.network import MLPExperts, NetworkExperts, NetworkTraining
 from torch_iac.experts.protocol import Experts
-from torch_iac.experts.stacked_networks import MLP, Training
+from torch_iac.experts.stacked_networks import Training
 from torch_iac.internal.randomness import block_size
 from torch_iac.runs.buffer import decisions_per_part, row_bytes
 from torch_iac.space import SensorimotorSpace
@@ -81,10 +83,12 @@ class _Network:
     Attributes:
         n_weights: How many weights it has.
         n_units: How many outputs all its layers have; for any other module, how many biases.
+        n_buffer_bytes: How many bytes of buffers.
     """
 
     n_weights: int
     n_units: int
+    n_buffer_bytes: int = 0
 
 
 def check_memory(
@@ -257,11 +261,12 @@ def _network(experts: Experts, situation_dim: int, outcome_dim: int) -> _Network
     if isinstance(experts, MLPExperts):
         return _mlp(experts.hidden, situation_dim, outcome_dim)
     if isinstance(experts, NetworkExperts):
-        with torch.random.fork_rng(devices=[]):
-            parameters = list(experts.module(situation_dim, outcome_dim).parameters())
+        made = RowModule(experts.module, situation_dim, outcome_dim, torch.device("cpu")).template
+        parameters = list(weights_of(made).values())
         return _Network(
             n_weights=sum(weights.numel() for weights in parameters),
             n_units=sum(weights.numel() for weights in parameters if weights.ndim == 1),
+            n_buffer_bytes=sum(buffer.nbytes for buffer in buffers_of(made).values()),
         )
     return None
 
@@ -275,7 +280,7 @@ def _mlp(hidden: tuple[int, ...], n_inputs: int, n_outputs: int) -> _Network:
 
 def _network_bytes(network: _Network | None) -> int:
     """Return a network's bytes: its weights, and twice as much for the optimiser's state."""
-    return 0 if network is None else 3 * 4 * network.n_weights
+    return 0 if network is None else 3 * 4 * network.n_weights + network.n_buffer_bytes
 
 
 def _n_minibatches(training: Training) -> int:

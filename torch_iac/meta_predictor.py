@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_iac.experts.stacked_networks import MLP, StackedNetworks, Training, pick
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.stacked_networks import StackedNetworks, Training, pick
 from torch_iac.internal import kernels
 from torch_iac.internal.losses import SMALL_ERROR, Loss, gamma_loss, squared_error
 from torch_iac.internal.randomness import RandomStream

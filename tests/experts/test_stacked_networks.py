@@ -5,7 +5,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from torch_iac.experts.stacked_networks import MLP, Factory, StackedNetworks, Training
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.modules import Factory
+from torch_iac.experts.stacked_networks import StackedNetworks, Training
 from torch_iac.internal.losses import squared_error
 
 CPU = torch.device("cpu")
@@ -83,7 +85,7 @@ def test_each_row_answers_as_its_module_does_alone(factory: Factory) -> None:
     networks = stack(factory)
     together = networks.predict(torch.tensor(rows), INPUTS[rows])
     for row, outputs in zip(rows, together, strict=True):
-        alone = networks._made(10 + row)(INPUTS[row])
+        alone = networks._module.made(10 + row)(INPUTS[row])
         torch.testing.assert_close(outputs, alone, rtol=1e-5, atol=1e-6)
 
 
@@ -91,7 +93,7 @@ def test_each_row_answers_as_its_module_does_alone(factory: Factory) -> None:
 @pytest.mark.parametrize("factory", FACTORIES)
 def test_training_is_torchs_own_optimiser(factory: Factory, optimizer: str) -> None:
     networks = stack(factory, optimizer=optimizer, learning_rate=0.02)
-    module = networks._made(12)
+    module = networks._module.made(12)
     kind = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}[optimizer]
     optimiser = kind(module.parameters(), lr=0.02)
     batches = [part[2].view(-1, SIZE, part.shape[2]) for part in (INPUTS, TARGETS)]

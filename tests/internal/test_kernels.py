@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from tests.golden import check_company, learnt
-from torch_iac.experts.stacked_networks import MLP, TINY, StackedNetworks, Training
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.stacked_networks import TINY, StackedNetworks, Training
 from torch_iac.internal import kernels
 from torch_iac.internal.losses import LOSSES, Loss
 from torch_iac.internal.scaling import UNIT_STEP

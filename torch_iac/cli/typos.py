@@ -23,6 +23,7 @@ DECLARING = (
     "drives/protocol",
     "experts/hybrid",
     "experts/knn",
+    "experts/mlp",
     "experts/network",
     "experts/stacked_networks",
     "meta_predictor",

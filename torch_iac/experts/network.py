@@ -4,10 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from torch_iac.experts.stacked_networks import MLP, Factory, StackedNetworks, Training, pick
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.modules import Drawn, Factory
+from torch_iac.experts.stacked_networks import StackedNetworks, Training, pick
 from torch_iac.internal.losses import squared_error
 from torch_iac.internal.randomness import RandomStream
 from torch_iac.internal.state import Stateful
@@ -15,8 +18,9 @@ from torch_iac.internal.validation import check_count
 from torch_iac.regions.examples import Examples
 from torch_iac.regions.tree import Split
 
-MINIBATCH_STREAM = 1
-"""Which of an agent's random streams the examples that networks learn from are drawn from."""
+MINIBATCH_STREAM, LAYER_STREAM = 1, 3
+"""Which of an agent's random streams the examples that networks learn from are drawn from, and
+which one its random layers draw from, such as dropout."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +75,7 @@ class NetworkExperts(NetworkTraining):
         """Return the networks of a population, one for the root of each agent.
 
         Raises:
-            ValueError: The module's output has the wrong shape, it has no weights, or its factory
-                makes different ones from the same seed.
+            ValueError: The module cannot be such a network; the message says why.
         """
         networks = StackedNetworks(self.module, situation_dim, outcome_dim, self, device)
         return NetworkPool(networks, self, seeds, device)
@@ -125,7 +128,7 @@ class NetworkPool(Stateful):
     ) -> None:
         self.networks = networks
         self._training = training
-        self._seeds = seeds
+        self._seeds, self._device = seeds, device
         self._picks = RandomStream(
             seeds, training.minibatches * training.minibatch_size, MINIBATCH_STREAM, device
         )
@@ -142,7 +145,7 @@ class NetworkPool(Stateful):
 
         A loss is the mean squared error, in scaled units, over the last minibatch.
         """
-        return self._train(examples, rows, self._picks.at(step))
+        return self._train(examples, rows, self._picks.at(step), self._drawn(self._seeds, step))
 
     def expert(self, examples: Examples, row: int) -> nn.Module:  # noqa: ARG002
         """Return a copy of the network of a region."""
@@ -165,15 +168,23 @@ class NetworkPool(Stateful):
             n_picks = self._training.fresh_minibatches * self._training.minibatch_size
             if n_picks:
                 picks = RandomStream(seeds, n_picks, MINIBATCH_STREAM, rows.device).at(0)
-                self._train(examples, rows, picks)
+                self._train(examples, rows, picks, self._drawn(seeds, 0))
 
-    def _train(self, examples: Examples, rows: Tensor, numbers: Tensor) -> Tensor:
+    def _drawn(self, seeds: Sequence[int], step: int) -> Drawn:
+        """Return what random layers draw from: of each seed its own at each step."""
+        if not self.networks.is_random:
+            return ()
+        keys = [(seed % 2**128, LAYER_STREAM, step) for seed in seeds]
+        mixed = [np.random.SeedSequence(key).generate_state(1).item() for key in keys]
+        return [torch.Generator(self._device).manual_seed(number) for number in mixed]
+
+    def _train(self, examples: Examples, rows: Tensor, numbers: Tensor, drawn: Drawn) -> Tensor:
         """Train on the examples that numbers `(F, M * B)` in [0, 1) select."""
         picks = (numbers * examples.counts.take(rows)[:, None]).long()
         situations = pick(examples.situations.index_select(0, rows), picks)
         outcomes = pick(examples.outcomes.index_select(0, rows), picks)
         size = self._training.minibatch_size
-        return self.networks.train(rows, situations, outcomes, size, squared_error)
+        return self.networks.train(rows, situations, outcomes, size, squared_error, drawn)
 
 
 def _birth_seed(seed: int, region: int) -> int:

@@ -3,29 +3,30 @@
 Shapes: `L` networks (rows), `P` weights of one of them, `M` minibatches, `B` examples in each.
 """
 
-import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 from typing import ClassVar, Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call, vmap
 
+from torch_iac.experts.mlp import MLP
+from torch_iac.experts.module_trial import try_module
+from torch_iac.experts.modules import (
+    Drawn,
+    Factory,
+    Named,
+    RowModule,
+    buffers_of,
+    slopes_of,
+    stacked,
+    weights_of,
+)
 from torch_iac.internal import kernels
-from torch_iac.internal.losses import LOSSES, Loss
+from torch_iac.internal.losses import LOSSES, Loss, squared_error
 from torch_iac.internal.state import Stateful, reserve
 from torch_iac.internal.validation import check_count
-
-Factory = Callable[[int, int], nn.Module]
-"""Makes a network from its numbers of inputs and outputs."""
-
-Weights = dict[str, Tensor]
-"""The weights of some networks, or their gradients, by name, each `(A, ...)`."""
 
 ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.Tanh, nn.Sigmoid)
 """Elementwise layers."""
@@ -36,35 +37,6 @@ MOST_RATE = 1e38
 TINY = 1e-17
 """Added to gradients, too small to change results: otherwise Adam's running means of an inactive
 unit decay to denormal numbers, with which processors are many times slower."""
-
-
-@dataclass(frozen=True)
-class MLP:
-    """Makes multi-layer perceptrons with ReLU.
-
-    Raises:
-        ValueError: A layer has no units or too many.
-    """
-
-    hidden: tuple[int, ...] = (32, 32)
-    """Units of each hidden layer."""
-
-    def __post_init__(self) -> None:
-        if any(units < 1 for units in self.hidden):
-            raise ValueError(f"hidden must be at least 1 unit a layer, got {self.hidden}")
-        for units in self.hidden:
-            check_count("hidden", units)
-
-    def __call__(self, n_inputs: int, n_outputs: int) -> nn.Module:
-        """Return a new network, from numbers `(n, n_inputs)` to numbers `(n, n_outputs)`."""
-        layers: list[nn.Module] = []
-        for n_in, n_out in self.sizes(n_inputs, n_outputs):
-            layers += [_linear_layer(n_in, n_out), nn.ReLU()]
-        return nn.Sequential(*layers[:-1])
-
-    def sizes(self, n_inputs: int, n_outputs: int) -> list[tuple[int, int]]:
-        """Return the numbers of inputs and outputs of each layer."""
-        return list(pairwise((n_inputs, *self.hidden, n_outputs)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,8 +76,11 @@ class StackedNetworks(Stateful):
 
     On the CPU linear layers with ReLU between them run in `kernels`: the same to the bit on every
     x86-64 processor, whatever other rows there are. Any other `Sequential` of linear and
-    elementwise layers runs as batched matrix products, any other module through `torch.func.vmap`;
+    elementwise layers runs as batched matrix products, any other module as `RowModule` calls it;
     the last digits of these may differ between processors, and between one robot and many.
+
+    Buffers, and weights that do not learn, are a row a network like the weights. They change when
+    the network learns, never when it predicts.
 
     Args:
         factory: Makes one network.
@@ -115,11 +90,10 @@ class StackedNetworks(Stateful):
         device: Where the weights are kept.
 
     Raises:
-        ValueError: The network's output has the wrong shape, it has no weights, or the factory
-            makes different ones from the same seed.
+        ValueError: The module cannot be such a network; the message says why.
     """
 
-    tables: ClassVar = {"_n_rows": ("_weights", "_mean", "_square", "_filled")}
+    tables: ClassVar = {"_n_rows": ("_weights", "_mean", "_square", "_filled", "_buffers")}
 
     def __init__(
         self,
@@ -129,17 +103,19 @@ class StackedNetworks(Stateful):
         training: Training,
         device: torch.device,
     ) -> None:
-        self._make = partial(factory, n_inputs, n_outputs)
         self._training = training
-        self._device = device
         self._n_rows = 0
-        self._template = self._made(0).to(device).eval().requires_grad_(False)
-        self._check(n_inputs, n_outputs)
-        shapes = {name: p.shape for name, p in self._template.named_parameters()}
-        self._shapes = shapes
-        self._sizes = [shape.numel() for shape in shapes.values()]
-        self._layers = _linear_layers(self._template)
+        self._module = RowModule(factory, n_inputs, n_outputs, device)
+        self._sizes = [shape.numel() for shape in self._module.shapes.values()]
+        self._layers = _linear_layers(self._module.template)
+        if type(factory) is not MLP:
+            try_module(self._module, training.minibatch_size)
+            self._layers = self._layers if self._is_plain() else []
         self._perceptron = _perceptron_sizes(self._layers) if device.type == "cpu" else []
+        self._buffers = {
+            name: of.new_empty(0, *of.shape)
+            for name, of in buffers_of(self._module.template).items()
+        }
         self._weights = torch.empty(0, sum(self._sizes), device=device)
         self._mean = torch.empty_like(self._weights)
         self._square = torch.empty_like(self._weights)
@@ -148,6 +124,11 @@ class StackedNetworks(Stateful):
         self._rates = torch.tensor([0.1, 0.001], device=device)
         self._full = torch.ones(2, device=device)
 
+    @property
+    def is_random(self) -> bool:
+        """Whether they draw random numbers to learn."""
+        return self._module.is_random
+
     def reserve(self, n_rows: int) -> None:
         """Allocate `n_rows` networks."""
         self._n_rows = max(self._n_rows, n_rows)
@@ -155,34 +136,45 @@ class StackedNetworks(Stateful):
         self._mean = reserve(self._mean, n_rows)
         self._square = reserve(self._square, n_rows)
         self._filled = reserve(self._filled, n_rows)
+        self._buffers = {name: reserve(of, n_rows) for name, of in self._buffers.items()}
 
     def start(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Give rows `(F,)` the weights that the factory makes from each seed."""
-        made = [nn.utils.parameters_to_vector(self._made(seed).parameters()) for seed in seeds]
-        self._weights[rows] = torch.stack(made).detach().to(self._device)
+        made = [self._module.made(seed) for seed in seeds]
+        weights = [nn.utils.parameters_to_vector(weights_of(of).values()) for of in made]
+        self._weights[rows] = torch.stack(weights).detach()
         for column in self._memory:
             column[rows] = 0.0
+        for name, buffers in stacked([buffers_of(of) for of in made]).items():
+            self._buffers[name][rows] = buffers.detach()
 
     def copy(self, rows: Tensor, new_rows: Tensor) -> None:
-        """Copy weights, and the optimiser's state, from rows `(F,)` to new rows `(F,)`."""
-        for column in (self._weights, *self._memory):
+        """Copy weights, buffers and the optimiser's state from rows `(F,)` to new rows `(F,)`."""
+        for column in (self._weights, *self._memory, *self._buffers.values()):
             column[new_rows] = column[rows]
 
     def network(self, row: int) -> nn.Module:
         """Return a copy of one network, a module of its own that can learn."""
-        module = copy.deepcopy(self._template).requires_grad_(True)
-        nn.utils.vector_to_parameters(self._weights[row].clone(), module.parameters())
-        return module
+        buffers = {name: of[row] for name, of in self._buffers.items()}
+        return self._module.filled(self._weights[row], buffers)
 
     def predict(self, rows: Tensor, inputs: Tensor) -> Tensor:
         """Return outputs `(A, B, n_outputs)` of networks `(A,)` for inputs `(A, B, n_inputs)`."""
         if self._perceptron:
             return kernels.perceptrons(self._weights, rows, self._perceptron, inputs)
         named = self._named(self._weights.index_select(0, rows))
-        return self._activations(named, inputs)[-1] if self._layers else self._call(named, inputs)
+        if self._layers:
+            return self._activations(named, inputs)[-1]
+        return self._module.call(named, self._buffers_of(rows), inputs)[0]
 
     def train(
-        self, rows: Tensor, inputs: Tensor, targets: Tensor, minibatch_size: int, loss: Loss
+        self,
+        rows: Tensor,
+        inputs: Tensor,
+        targets: Tensor,
+        minibatch_size: int,
+        loss: Loss,
+        drawn: Drawn = (),
     ) -> Tensor:
         """Take one step of the optimiser for each minibatch.
 
@@ -192,6 +184,7 @@ class StackedNetworks(Stateful):
             targets: Shape `(A, M * B, n_outputs)`.
             minibatch_size: B.
             loss: Its mean over a minibatch is minimised.
+            drawn: What each of the rows draws from, if the networks are random.
 
         Returns:
             Shape `(A,)`, the loss in the last minibatch, before its step.
@@ -206,12 +199,14 @@ class StackedNetworks(Stateful):
         mean, square, filled = (column.index_select(0, rows) for column in self._memory)
         gradient = torch.empty_like(weights)
         named, slopes = self._named(weights), self._named(gradient)
-        fill = self._by_hand if self._layers else self._by_autograd
-        losses = targets
+        buffers, losses = self._buffers_of(rows), targets
         for start in range(0, inputs.shape[1], minibatch_size):
             batch = inputs.narrow(1, start, minibatch_size)
             target = targets.narrow(1, start, minibatch_size)
-            losses = fill(named, slopes, batch, target, loss)
+            if self._layers:
+                losses = self._by_hand(named, slopes, batch, target, loss)
+            else:
+                losses = self._by_autograd(named, slopes, buffers, batch, target, loss, drawn)
             if self._training.optimizer == "sgd":
                 weights.sub_(gradient, alpha=self._training.learning_rate)
             else:
@@ -219,6 +214,8 @@ class StackedNetworks(Stateful):
         self._weights.index_copy_(0, rows, weights)
         for column, renewed in zip(self._memory, (mean, square, filled), strict=True):
             column.index_copy_(0, rows, renewed)
+        for name, of in buffers.items():
+            self._buffers[name].index_copy_(0, rows, of)
         return losses.flatten(1).mean(1)
 
     @property
@@ -238,23 +235,28 @@ class StackedNetworks(Stateful):
         weights.addcdiv_(mean, scale, value=-self._training.learning_rate)
 
     def _by_autograd(
-        self, named: Weights, gradient: Weights, inputs: Tensor, targets: Tensor, loss: Loss
+        self,
+        named: Named,
+        gradient: Named,
+        buffers: Named,
+        inputs: Tensor,
+        targets: Tensor,
+        loss: Loss,
+        drawn: Drawn = (),
     ) -> Tensor:
-        """Fill in the gradient of the mean loss; return the losses `(A, B, K)`."""
+        """Fill in the gradient of the mean loss, renew buffers; return the losses `(A, B, K)`."""
         with torch.enable_grad():
             leaves = {name: part.detach().requires_grad_() for name, part in named.items()}
-            outputs = self._call(leaves, inputs)
+            outputs, after = self._module.call(leaves, buffers, inputs, True, drawn)
+        buffers.update(after)
         losses, slopes = loss(outputs.detach(), targets)
         slopes = slopes / slopes[0].numel()
-        parts = torch.autograd.grad(
-            outputs, list(leaves.values()), slopes, allow_unused=True, materialize_grads=True
-        )
-        for whole, part in zip(gradient.values(), parts, strict=True):
-            whole.copy_(part)
+        for name, part in slopes_of(outputs, leaves, slopes).items():
+            gradient[name].copy_(part)
         return losses
 
     def _by_hand(
-        self, named: Weights, gradient: Weights, inputs: Tensor, targets: Tensor, loss: Loss
+        self, named: Named, gradient: Named, inputs: Tensor, targets: Tensor, loss: Loss
     ) -> Tensor:
         """Do what `_by_autograd` does, layer by layer: twice as fast for small networks."""
         activations = self._activations(named, inputs)
@@ -271,7 +273,7 @@ class StackedNetworks(Stateful):
                 slopes = torch.bmm(slopes, named[f"{name}.weight"])
         return losses
 
-    def _activations(self, named: Weights, inputs: Tensor) -> list[Tensor]:
+    def _activations(self, named: Named, inputs: Tensor) -> list[Tensor]:
         """Return the inputs, then the outputs of each layer."""
         activations = [inputs]
         for name, layer in self._layers:
@@ -282,67 +284,44 @@ class StackedNetworks(Stateful):
                 activations.append(layer(activations[-1]))
         return activations
 
-    def _named(self, weights: Tensor) -> Weights:
+    def _buffers_of(self, rows: Tensor) -> Named:
+        """Return a copy of the buffers of some rows."""
+        return {name: of.index_select(0, rows) for name, of in self._buffers.items()}
+
+    def _is_plain(self) -> bool:
+        """Return whether its layers are all that a `Sequential` does: no hooks, no tied weights."""
+        module = self._module
+        if not self._layers or buffers_of(module.template):
+            return False
+        if len(module.shapes) < len(list(module.template.named_parameters(remove_duplicate=False))):
+            return False
+        generator = torch.Generator().manual_seed(0)
+        inputs = torch.rand(1, 2, module.n_inputs, generator=generator).to(module.device)
+        weights = nn.utils.parameters_to_vector(module.template.parameters()).detach()[None]
+        named = self._named(weights)
+        by_hand, by_autograd = (
+            self._named(torch.empty_like(weights)),
+            self._named(torch.empty_like(weights)),
+        )
+        targets = torch.zeros(1, 2, module.n_outputs, device=module.device)
+        self._by_hand(named, by_hand, inputs, targets, squared_error)
+        self._by_autograd(named, by_autograd, {}, inputs, targets, squared_error)
+        return all(
+            torch.allclose(by_hand[name], of, 1e-3, 1e-5) for name, of in by_autograd.items()
+        )
+
+    def _named(self, weights: Tensor) -> Named:
         """Return the parts of weights `(A, P)` by name; they share its memory."""
         parts = torch.split(weights, self._sizes, dim=1)
         return {
             name: part.view(-1, *shape)
-            for (name, shape), part in zip(self._shapes.items(), parts, strict=True)
+            for (name, shape), part in zip(self._module.shapes.items(), parts, strict=True)
         }
-
-    def _call(self, named: Weights, inputs: Tensor) -> Tensor:
-        if len(inputs) == 1:  # one network needs no vmap, which takes about twice as long
-            alone = {name: part[0] for name, part in named.items()}
-            return self._call_one(alone, inputs[0])[None]
-        outputs: Tensor = vmap(self._call_one)(named, inputs)
-        return outputs
-
-    def _call_one(self, named: Weights, inputs: Tensor) -> Tensor:
-        outputs: Tensor = functional_call(self._template, named, (inputs,))
-        return outputs
-
-    def _made(self, seed: int) -> nn.Module:
-        # torch on the CPU uses only 32 bits of a seed, so all 64 are mixed into these.
-        mixed = np.random.SeedSequence(seed % 2**128).generate_state(1).item()
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(mixed)
-            return self._make()
-
-    def _check(self, n_inputs: int, n_outputs: int) -> None:
-        if not any(True for _ in self._template.parameters()):
-            raise ValueError("a module must have weights to learn, got none")
-        inputs = torch.zeros(2, n_inputs, device=self._device)
-        outputs = self._template(inputs)
-        if tuple(outputs.shape) != (2, n_outputs):
-            raise ValueError(
-                f"a module must turn situations (n, {n_inputs}) into outcomes (n, {n_outputs}), "
-                f"got {tuple(outputs.shape)} for n = 2"
-            )
-        again = self._made(0).to(self._device)
-        pairs = zip(self._template.parameters(), again.parameters(), strict=True)
-        if not all(torch.equal(one, other) for one, other in pairs):
-            raise ValueError(
-                "a module's factory must make the same weights from the same seed, "
-                "got different ones: it must draw from torch's own generator"
-            )
 
 
 def pick(examples: Tensor, picks: Tensor) -> Tensor:
     """Return examples of `(A, D, N)` at places `(A, n)`, shape `(A, n, D)`."""
     return examples.gather(2, picks[:, None].expand(-1, examples.shape[1], -1)).mT
-
-
-def _linear_layer(n_inputs: int, n_outputs: int) -> nn.Linear:
-    """Return a linear layer with torch's usual initial weights, the same on every processor.
-
-    They are uniform within 1 / sqrt(n_inputs), from the same random numbers as `nn.Linear`'s own,
-    whose `uniform_` rounds as the processor does.
-    """
-    layer: nn.Linear = nn.utils.skip_init(nn.Linear, n_inputs, n_outputs)  # type: ignore[no-untyped-call]
-    with torch.no_grad():
-        for weights in (layer.weight, layer.bias):
-            weights.copy_((torch.rand(weights.shape) * 2 - 1) * (1 / math.sqrt(n_inputs)))
-    return layer
 
 
 def _slopes_before(layer: nn.Module, before: Tensor, slopes: Tensor) -> Tensor:

@@ -30,8 +30,8 @@ class Stateful:
 
     Attributes:
         saved: The attributes that are kept as they are.
-        tables: The columns that grow, under the attribute that says how many of their rows are
-            in use. Only these rows are kept.
+        tables: The columns that grow, each a tensor or a mapping of tensors by name, under the
+            attribute that says how many of their rows are in use. Only these rows are kept.
     """
 
     saved: ClassVar[tuple[str, ...]] = ()
@@ -47,8 +47,9 @@ class Stateful:
         for name in (*self.tables, *self.saved):
             state |= _collect(name.lstrip("_"), getattr(self, name))
         for count, columns in self.tables.items():
+            n_rows = getattr(self, count)
             for name in columns:
-                state |= _collect(name.lstrip("_"), getattr(self, name)[: getattr(self, count)])
+                state |= _collect(name.lstrip("_"), _first_rows(getattr(self, name), n_rows))
         return state
 
     def load_state(self, state: State) -> None:
@@ -62,11 +63,11 @@ class Stateful:
         for name in (*self.tables, *self.saved):
             setattr(self, name, _restored(name.lstrip("_"), getattr(self, name), rest))
         for count, columns in self.tables.items():
+            n_rows = getattr(self, count)
             for name in columns:
-                column = getattr(self, name)
-                wanted = column.new_empty((getattr(self, count), *column.shape[1:]), device="meta")
-                loaded = _taken(name.lstrip("_"), wanted, rest)
-                setattr(self, name, loaded.to(column.device, copy=True))
+                setattr(
+                    self, name, _restored_rows(name.lstrip("_"), getattr(self, name), n_rows, rest)
+                )
         for name in rest:
             raise ValueError(f"{name} must not be in the state, which has no place for it")
 
@@ -109,6 +110,23 @@ def _restored(name: str, part: Any, rest: State) -> Any:
         except ValueError as error:
             raise ValueError(f"{name}/{error}") from None
     return part
+
+
+def _first_rows(column: Tensor | Mapping[str, Tensor], n_rows: int) -> Any:
+    if isinstance(column, Tensor):
+        return column[:n_rows]
+    return {name: part[:n_rows] for name, part in column.items()}
+
+
+def _restored_rows(
+    name: str, column: Tensor | Mapping[str, Tensor], n_rows: int, rest: State
+) -> Any:
+    """Return so many restored rows of a column, and remove their state from the rest."""
+    if isinstance(column, Tensor):
+        wanted = column.new_empty((n_rows, *column.shape[1:]), device="meta")
+        return _taken(name, wanted, rest).to(column.device, copy=True)
+    parts = column.items()
+    return {key: _restored_rows(f"{name}/{key}", part, n_rows, rest) for key, part in parts}
 
 
 def _taken(name: str, wanted: Tensor, rest: State) -> Tensor:

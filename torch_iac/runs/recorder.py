@@ -25,6 +25,7 @@ from torch_iac.config import IACConfig
 from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.internal.files import dump_json, replace, write_table
 from torch_iac.internal.processor import processor
+from torch_iac.internal.torch_defaults import with_torch_defaults
 from torch_iac.internal.validation import check_count
 from torch_iac.records import Genealogy, RegionSummary, Step
 from torch_iac.runs.buffer import N_LOGGED_AGENTS, ROWS_PER_PART, Rows, decisions_per_part
@@ -126,6 +127,7 @@ class Recorder:
             shadow has a name of `RESERVED`.
     """
 
+    @with_torch_defaults
     def __init__(
         self,
         folder: Path,
@@ -182,6 +184,7 @@ class Recorder:
         )
         self._started = time.perf_counter()
 
+    @with_torch_defaults
     def state(self) -> dict[str, Any]:
         """Return the whole state, what is not yet on disk included, as `serialize` can pack it."""
         return {
@@ -195,6 +198,7 @@ class Recorder:
             "dashboard": self._dashboard.state(),
         }
 
+    @with_torch_defaults
     def load_state(self, state: Mapping[str, Any] | None, n_decisions: int) -> None:
         """Go on from what `state` returned, or from the beginning.
 
@@ -211,6 +215,7 @@ class Recorder:
             self._sums.load_state(state["sums"])
             self._windows = {start: WindowSums(*of) for start, *of in state["windows"]}
 
+    @with_torch_defaults
     def record(self, step: Step, zones: NDArray[Any] | Tensor | None = None) -> None:
         """Keep one decision of every agent.
 
@@ -239,6 +244,7 @@ class Recorder:
         if self._rows.is_full:
             self.flush()
 
+    @with_torch_defaults
     def flush(self) -> None:
         """Write what is kept in memory; when it returns, all decisions so far are on disk.
 
@@ -257,6 +263,7 @@ class Recorder:
         self._n_parts, self._n_told = self._n_parts + 1, 0
         self._dashboard.flush()
 
+    @with_torch_defaults
     def close(self) -> None:
         """Write the rest and `summary.json`; nothing can be recorded any more."""
         seconds = time.perf_counter() - self._started
