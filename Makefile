@@ -4,14 +4,14 @@ PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3; do \
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: help setup train test lint types clean
+.PHONY: help setup train test lint types docs clean
 
 help: ## Show what can be made.
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 setup: $(INSTALLED) ## Install everything into .venv (once).
 
-$(INSTALLED): setup.cfg pyproject.toml constraints.txt
+$(INSTALLED): setup.cfg setup.py pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@
@@ -29,6 +29,9 @@ lint: $(INSTALLED) ## Check style and the order of imports.
 
 types: $(INSTALLED) ## Check types.
 	$(BIN)/mypy
+
+docs: $(INSTALLED) ## Build the site of the documentation in build/site.
+	$(BIN)/python -m scripts.docs.build_site
 
 clean: ## Remove the installation, not the runs.
 	rm -rf .venv build dist *.egg-info
