@@ -166,7 +166,7 @@ class SensorimotorSpace:
         """
         return cls(
             *(
-                tuple(Dimension(name, *numbers) for name, numbers in bounds[kind].items())
+                tuple(_dimension(name, *numbers) for name, numbers in bounds[kind].items())
                 for kind in ("actions", "sensors", "outcomes")
             )
         )
@@ -175,6 +175,10 @@ class SensorimotorSpace:
 def _numbers(dimension: Dimension) -> list[float]:
     bounds = [dimension.low, dimension.high]
     return bounds if dimension.n_values is None else [*bounds, dimension.n_values]
+
+
+def _dimension(name: str, low: float, high: float, n_values: float | None = None) -> Dimension:
+    return Dimension(name, low, high, None if n_values is None else int(n_values))
 
 
 def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:

@@ -15,8 +15,10 @@ from gymnasium.wrappers import RepeatAction
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.toy_room import WORLDS
+from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.options import EPISODES, check_options, parameters_of
 from torch_iac.worlds.saving import savable
+from torch_iac.worlds.spaces import encoder_maker, flattened
 from torch_iac.worlds.vector import World
 
 
@@ -26,8 +28,12 @@ def make_world(
     options: Mapping[str, Any],
     device: torch.device,
     hold: int = 1,
+    encoder: str = CONVOLUTION,
 ) -> World:
     """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
+
+    Spaces of single worlds that are no flat boxes are made some, as `torch_iac.worlds.spaces.Flat`
+    says.
 
     Args:
         name: One of `WORLDS`, or an id of Gymnasium, such as `Pendulum-v1` or
@@ -36,6 +42,7 @@ def make_world(
         options: Arguments of each.
         device: Where worlds that are tensors are.
         hold: For how many steps of the world an action is held.
+        encoder: What makes sensors of pictures: `convolution`, `pixels` or `module:Name`.
 
     Raises:
         ValueError: There is no such world, it has no such option, refuses its value, or cannot
@@ -51,7 +58,8 @@ def make_world(
         if spec.max_episode_steps is not None:
             parameters |= EPISODES
         check_options(name, options, parameters)
-        wrappers = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers: list[Any] = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers.append(partial(flattened, encoder=encoder_maker(encoder)))
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
 
