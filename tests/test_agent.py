@@ -117,7 +117,7 @@ def test_every_decision_is_the_oracles_where_an_action_has_but_some_values(
     for step in steps:
         check_step(space, robot, step)
     tones = torch.cat([step.actions[:, 1] for step in steps])
-    assert tones.unique().tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    assert set(tones.tolist()) == {0.0, 2.0, 4.0, 6.0, 8.0, 10.0}
     cuts = agent.genealogy()
     at = cuts.cut_value[cuts.cut_dimension == 1] * 10
     assert len(at)

@@ -7,13 +7,10 @@ Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal, Protocol, Self
 
 import gymnasium as gym
 import numpy as np
-
-WorldOrWorlds = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
-"""A single world of Gymnasium, or a vector of them."""
 
 MOST_BOUND, LEAST_SPAN, LEAST_SHARE = 1e30, 1e-30, 2.0**-20
 """The largest bound, and how narrow a range may be, in raw units and as a share of its larger
@@ -21,6 +18,12 @@ bound: beyond, float32 overflows, or tells only a few values in the range apart.
 
 MOST_VALUES = 2**20
 """Limit of the values of a dimension that has but some."""
+
+
+class HasSpaces(Protocol):
+    """What has an action space and an observation space: a world, or a vector of worlds."""
+
+    metadata: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class SensorimotorSpace:
     @classmethod
     def from_env(
         cls,
-        env: WorldOrWorlds,
+        env: HasSpaces,
         outcomes: Sequence[str] | Literal["all"] = "all",
     ) -> Self:
         """Return the space of a Gymnasium world whose actions and observations are boxes.
@@ -181,11 +184,11 @@ def _dimension(name: str, low: float, high: float, n_values: float | None = None
     return Dimension(name, low, high, None if n_values is None else int(n_values))
 
 
-def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:
-    box = _box(env, kind)
+def _dimensions(env: HasSpaces, kind: Literal["action", "observation"]) -> tuple[Dimension, ...]:
+    box = space_of(env, kind)
     if not isinstance(box, gym.spaces.Box) or len(box.shape) != 1:
         raise ValueError(
-            f"the {kind} space must be a flat Box, as FlatWorld makes of others, got {box}"
+            f"the {kind} space must be a flat Box, got {box}; FlatWorld makes others one"
         )
     counts = env.metadata.get("action_values") if kind == "action" else None
     if kind == "action" and counts is None and not np.issubdtype(box.dtype, np.floating):
@@ -200,13 +203,13 @@ def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:
     return tuple(Dimension(*column) for column in columns)
 
 
-def names_of(env: WorldOrWorlds, kind: Literal["action", "sensor"]) -> tuple[str, ...]:
+def names_of(env: HasSpaces, kind: Literal["action", "sensor"]) -> tuple[str, ...]:
     """Return the names of a world's actions or sensors, which are flat boxes.
 
     Raises:
         ValueError: The world names more or fewer than there are.
     """
-    n_names = _box(env, "action" if kind == "action" else "observation").shape[0]
+    n_names = space_of(env, "action" if kind == "action" else "observation").shape[0]
     key = f"{kind}_names"
     names = tuple(env.metadata.get(key) or (f"{kind}_{i}" for i in range(n_names)))
     if len(names) != n_names:
@@ -214,7 +217,8 @@ def names_of(env: WorldOrWorlds, kind: Literal["action", "sensor"]) -> tuple[str
     return names
 
 
-def _box(env: WorldOrWorlds, kind: str) -> Any:
+def space_of(env: HasSpaces, kind: Literal["action", "observation"]) -> Any:
+    """Return a world's space, or that of each world of a vector."""
     return getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
 
 

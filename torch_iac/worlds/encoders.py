@@ -1,5 +1,6 @@
 """Encoders: frozen networks that make features, which the robot senses, of pictures."""
 
+from copy import deepcopy
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,7 @@ class Encoder:
 
 
 def _module(name: str, n_channels: int) -> nn.Module:
-    """Return an encoder's module, which will not learn."""
+    """Return an encoder's module, in evaluation mode."""
     if name == CONVOLUTION:
         return RandomConvolution(n_channels)
     make_importable(Path.cwd())
@@ -145,4 +146,4 @@ def _module(name: str, n_channels: int) -> nn.Module:
             ) from None
     if not isinstance(made, nn.Module):
         raise ValueError(f"encoder must be or make a torch.nn.Module, got {name}")
-    return made.eval().requires_grad_(False)
+    return deepcopy(made).eval()  # one that its owner may train stays as it was

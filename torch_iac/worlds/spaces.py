@@ -92,13 +92,8 @@ class Flat:
         self.sensors = sensors = _row(observation_space, "sensor", (), encoder)
         if sensors.texts and not sensors.names:
             raise ValueError(_refusal("sensor", (), observation_space))
-        is_counted = None not in actions.n_values
-        self.action_space: spaces.Box[Any] = spaces.Box(
-            actions.low, actions.high, dtype=np.int64 if is_counted else np.float32
-        )
-        self.observation_space: spaces.Box[Any] = spaces.Box(
-            sensors.low, sensors.high, dtype=np.float64
-        )
+        self.action_space = _box(actions, np.float32 if None in actions.n_values else np.int64)
+        self.observation_space = _box(sensors, np.float64)
         said = {
             "action_names": actions.names,
             "action_values": actions.n_values,
@@ -150,6 +145,10 @@ class FlatWorld(gym.Wrapper[Numbers, Numbers, Any, Any], gym.utils.RecordConstru
         return self._flat.sensors.of_value(observation), reward, terminated, truncated, info
 
 
+def _box(row: Row, dtype: type[Any]) -> spaces.Box[Any]:
+    return spaces.Box(row.low.astype(dtype), row.high.astype(dtype), dtype=dtype)
+
+
 def encoder_maker(name: str) -> MakeEncoder | None:
     """Return what makes encoders, one for all pictures of a shape; None if pixels are sensors.
 
@@ -162,11 +161,14 @@ def encoder_maker(name: str) -> MakeEncoder | None:
 
 def flattened(env: gym.Env[Any, Any], encoder: MakeEncoder | None) -> gym.Env[Any, Any]:
     """Return a world itself if its spaces are flat boxes, actions of real numbers, or wrap it."""
-    actions, sensors = env.action_space, env.observation_space
-    is_flat = all(isinstance(of, spaces.Box) and len(of.shape) == 1 for of in (actions, sensors))
-    if is_flat and np.issubdtype(actions.dtype, np.floating):
-        return env
-    return FlatWorld(env, encoder)
+    return env if is_flat(env.action_space, env.observation_space) else FlatWorld(env, encoder)
+
+
+def is_flat(action_space: spaces.Space[Any], observation_space: spaces.Space[Any]) -> bool:
+    """Return whether both are flat boxes, that of the actions one of real numbers."""
+    both = (action_space, observation_space)
+    boxes = all(isinstance(of, spaces.Box) and len(of.shape) == 1 for of in both)
+    return boxes and np.issubdtype(action_space.dtype, np.floating)
 
 
 def _row(
@@ -229,14 +231,15 @@ def _number_row(space: spaces.Space[Any], kind: Kind, path: tuple[str, ...]) -> 
     low, high = _bounds(space)
     is_whole = not np.issubdtype(space.dtype, np.floating)
     counts = high.ravel() - low.ravel() + 1 if is_whole and kind == "action" else None
-    shape, dtype = low.shape, space.dtype
 
     def to_value(numbers: Numbers) -> Any:
-        rounded = np.rint(numbers) if is_whole else numbers
-        return np.asarray(rounded, dtype).reshape(shape)[()]
+        nearest = np.rint(numbers) if is_whole else numbers
+        within = np.clip(nearest.reshape(low.shape), low, high)  # float32 may round a bound up
+        value = np.asarray(within, space.dtype)
+        return value[()] if isinstance(space, spaces.Discrete) else value
 
     return Row(
-        tuple(_names(kind, path, shape)),
+        tuple(_names(kind, path, low.shape)),
         low.ravel(),
         high.ravel(),
         (None,) * low.size if counts is None else tuple(map(int, counts)),
