@@ -27,7 +27,7 @@ from torch_iac.worlds.senses import BOUNDS_FROM, Senses
 from torch_iac.worlds.vector import outcome_of
 
 Array: TypeAlias = NDArray[Any]
-"""An action, shape `(action_dim,)`, or an observation, `(sensor_dim,)`, in raw units."""
+"""Numbers of each world: actions, shape `(A, action_dim)`, or sensors, `(A, sensor_dim)`."""
 
 When: TypeAlias = Literal["learnt", "chosen"]
 """When the worth of an action is computed: after the experts learnt from it, or before."""
@@ -36,7 +36,7 @@ INFO = "iac"
 """Key in `info` of the experts' errors, regions and progress."""
 
 
-class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordConstructorArgs):
+class ProgressReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """A wrapper whose reward is the learning progress of experts.
 
         reward = scale * LP of the region that holds (action, sensors), in scaled units
@@ -79,7 +79,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
 
     def __init__(
         self,
-        env: gym.Env[Array, Array],
+        env: gym.Env[Any, Any],
         config: IACConfig | None = None,
         *,
         outcomes: Sequence[str] | Literal["all"] = "all",
@@ -118,7 +118,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; with a seed, new experts too."""
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
@@ -126,7 +126,7 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
         self._onlooker.see(self._senses.sensors(observation))
         return observation, info
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take an action in the world, and let the experts learn from the outcome.
 
         Raises:
