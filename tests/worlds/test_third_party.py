@@ -93,7 +93,9 @@ main(["resume", "a", "--steps", "20"])
 
 
 @needs("gymnasium_robotics")
-def test_fetch_is_lived_in_without_the_assertion_that_fails_with_mujoco_4(tmp_path: Path) -> None:
+def test_fetch_is_lived_in_without_the_assertion_that_fails_with_mujoco_of_today(
+    tmp_path: Path,
+) -> None:
     subprocess.run([sys.executable, "-O", "-c", FETCH], cwd=tmp_path, check=True)
     run = load_run(tmp_path / "a")
     assert run.steps == load_run(tmp_path / "whole").steps
