@@ -106,6 +106,34 @@ def test_every_decision_is_the_oracles(
     assert robot.n_regions > 20
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_every_decision_is_the_oracles_where_an_action_has_but_some_values(
+    space: SensorimotorSpace, seed: int
+) -> None:
+    tone = Dimension("tone", 0.0, 10.0, n_values=6)
+    space = replace(space, actions=(space.actions[0], tone))
+    robot, agent = oracle_of(SMALL), IAC(space, SMALL, seeds=[seed])
+    steps = live(agent, 600)
+    for step in steps:
+        check_step(space, robot, step)
+    tones = torch.cat([step.actions[:, 1] for step in steps])
+    assert set(tones.tolist()) == {0.0, 2.0, 4.0, 6.0, 8.0, 10.0}
+    cuts = agent.genealogy()
+    at = cuts.cut_value[cuts.cut_dimension == 1] * 10
+    assert len(at)
+    assert (((at / 2) % 1 - 0.5).abs() < 0.49).all()  # none falls on a value
+
+
+def test_a_told_action_that_there_is_not_is_refused(space: SensorimotorSpace) -> None:
+    tone = Dimension("tone", 0.0, 10.0, n_values=6)
+    agent = IAC(replace(space, actions=(space.actions[0], tone)), SMALL)
+    sensors = np.array([[1.0, 0.0]])
+    agent.set_actions(np.array([[0.3, 4.0]]), sensors)
+    agent.observe(sensors)
+    with pytest.raises(ValueError, match="tone must be one of 6 values from 0 to 10, got 5 from"):
+        agent.set_actions(np.array([[0.3, 5.0]]), sensors)
+
+
 def test_the_best_candidate_is_the_oracles(space: SensorimotorSpace) -> None:
     config = replace(SMALL, epsilon=0.0)
     agent, robot = IAC(space, config, seeds=[5]), oracle_of(config)

@@ -15,7 +15,7 @@ from torch_iac.experts.hybrid import HybridPool
 from torch_iac.experts.protocol import ExpertPool
 from torch_iac.internal.devices import available_device
 from torch_iac.internal.randomness import RandomStream
-from torch_iac.internal.scaling import Scale
+from torch_iac.internal.scaling import Scale, action_scale
 from torch_iac.internal.state import State, Stateful
 from torch_iac.internal.torch_defaults import with_torch_defaults
 from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
@@ -145,7 +145,7 @@ class IAC(Stateful):
         self._choices = RandomStream(
             self.seeds, 2 + config.n_candidates * action_dim, CHOICE_STREAM, self.device
         )
-        self._action_scale = Scale(space.actions, self.device)
+        self._action_scale = action_scale(space.actions, self.device)
         self._sensor_scale = Scale(space.sensors, self.device)
         self._outcome_scale = Scale(space.outcomes, self.device)
         self._outcome_columns = torch.tensor(space.outcome_columns, device=self.device)
@@ -183,7 +183,7 @@ class IAC(Stateful):
         readings = self._checked(sensors)
         numbers = self._choices.at(self.n_decisions)
         drawn = numbers[:, 2:].reshape(self.n_agents, self.config.n_candidates, -1)
-        candidates, nodes = self._candidates(readings, drawn)
+        candidates, nodes = self._candidates(readings, self._action_scale.of_drawn(drawn))
         worth = self._worth(candidates)
         # Candidates are drawn independently, so the first is a random action.
         random = numbers[:, 0] < self.config.epsilon
@@ -207,8 +207,8 @@ class IAC(Stateful):
             sensors: Shape `(A, sensor_dim)`, before the actions, alike.
 
         Raises:
-            ValueError: A shape is wrong, or a value is NaN or outside its bounds (which on a GPU,
-                for sensors, `observe` notices).
+            ValueError: A shape is wrong, or a value is NaN, outside its bounds (which on a GPU, for
+                sensors, `observe` notices) or none that an action has.
         """
         readings, given, candidates, nodes = self._told(actions, sensors)
         random = torch.zeros(self.n_agents, dtype=torch.bool, device=self.device)

@@ -31,7 +31,9 @@ from torch_iac.space import SensorimotorSpace
 from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY, train
 from torch_iac.worlds.bounds import Bounds, bounds_of, recorded_bounds
+from torch_iac.worlds.encoders import CONVOLUTION, check_encoder
 from torch_iac.worlds.make import make_world
+from torch_iac.worlds.spaces import LEFT_OUT
 from torch_iac.worlds.vector import World
 
 SEEDS = 2**32
@@ -100,6 +102,9 @@ class Experiment:
     """Arguments of the world, by name."""
     hold: int = 1
     """For how many steps of the world each action is held."""
+    encoder: str = CONVOLUTION
+    """What makes sensors of pictures: convolution, a fixed random one; pixels, each of which is
+    then a sensor; or module:Name, a torch.nn.Module of your own."""
     sensor_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Low and high bounds of sensors, in raw units; readings beyond are clipped."""
     bounds_from: int = 1000
@@ -127,6 +132,7 @@ class Experiment:
                 raise ValueError(f"{name} must lie in [1, {most:,}], got {getattr(self, name)}")
         for name in ("recorded_rows", "test_every"):
             check_count(name, getattr(self, name), least=0)
+        check_encoder(self.encoder)
         if self.test_every and self.world not in WORLDS:
             raise ValueError(
                 f"test_every must be 0 outside of the toy rooms, got {self.test_every}"
@@ -205,12 +211,17 @@ class Experiment:
         """
         n_worlds = len(self.seeds) if n_worlds is None else n_worlds
         options = {**self.world_options, **options}
-        return make_world(self.world, n_worlds, options, self.torch_device(), self.hold)
+        device = self.torch_device()
+        return make_world(self.world, n_worlds, options, device, self.hold, self.encoder)
 
     def world_identity(self) -> dict[str, Any]:
         """Return what makes the world what it is."""
-        held = {"hold": self.hold} if self.hold > 1 else {}
-        return {"name": self.world, "options": dict(self.world_options), **held}
+        content: dict[str, Any] = {"name": self.world, "options": dict(self.world_options)}
+        if self.hold > 1:
+            content["hold"] = self.hold
+        if self.encoder != CONVOLUTION:
+            content["encoder"] = self.encoder
+        return content
 
     def check(self, elsewhere: bool = False) -> None:
         """Refuse what the world refuses, and, unless it runs elsewhere, a device that is missing.
@@ -333,7 +344,8 @@ class Experiment:
                 space = self.space_of(world)
                 n_recorded = self._n_recorded() if earlier is None else earlier.n_recorded
                 check_memory(space, self.config, n_agents, self.steps, n_recorded, device)
-                self._say_what_was_found(bounds, earlier)
+                if earlier is None:
+                    self._say_what_was_found(world, bounds)
                 # A world that cannot begin leaves no run folder.
                 world.reset(seed=list(self.seeds))  # type: ignore[arg-type]  # a list is fine
                 agent = IAC(space, self.config, self.seeds, device)
@@ -408,8 +420,10 @@ class Experiment:
         )
         return self.recorded_agents
 
-    def _say_what_was_found(self, bounds: Bounds | None, earlier: Run | None) -> None:
-        if bounds is not None and bounds.found and earlier is None:
+    def _say_what_was_found(self, world: World, bounds: Bounds | None) -> None:
+        for text in world.metadata.get(LEFT_OUT, ()):
+            log.info("The robot does not sense %s, which is text", text)
+        if bounds is not None and bounds.found:
             share = f"{len(bounds.found)} of {len(bounds.box.low)} sensors"
             log.info("Bounds for %s were found in %s random decisions", share, self.bounds_from)
 

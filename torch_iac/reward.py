@@ -9,11 +9,10 @@ name reinforcement learning as a way to maximise it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeAlias
 
 import gymnasium as gym
-import numpy as np
 import torch
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
@@ -23,10 +22,12 @@ from torch_iac.agent import IAC
 from torch_iac.config import IACConfig
 from torch_iac.records import Step
 from torch_iac.space import SensorimotorSpace
+from torch_iac.worlds.encoders import CONVOLUTION
+from torch_iac.worlds.senses import BOUNDS_FROM, Senses
 from torch_iac.worlds.vector import outcome_of
 
 Array: TypeAlias = NDArray[Any]
-"""An action, shape `(action_dim,)`, or an observation, `(sensor_dim,)`, in raw units."""
+"""Numbers of each world: actions, shape `(A, action_dim)`, or sensors, `(A, sensor_dim)`."""
 
 When: TypeAlias = Literal["learnt", "chosen"]
 """When the worth of an action is computed: after the experts learnt from it, or before."""
@@ -35,21 +36,22 @@ INFO = "iac"
 """Key in `info` of the experts' errors, regions and progress."""
 
 
-class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordConstructorArgs):
+class ProgressReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """A wrapper whose reward is the learning progress of experts.
 
         reward = scale * LP of the region that holds (action, sensors), in scaled units
 
     With another drive in the config it is what the action is worth to that drive. Actions,
-    observations and their spaces are the world's own. The experts keep what they know from one
-    episode to the next; a reset with a seed begins everything anew, experts included, so that the
-    same seed gives the same rewards again.
+    observations and their spaces are the world's own, of any kind that `torch-iac` takes; the
+    experts see them as rows of numbers, as `torch_iac.worlds.spaces.Flat` says. The experts keep
+    what they know from one episode to the next; a reset with a seed begins everything anew, experts
+    included, so that the same seed gives the same rewards again.
 
     `info["iac"]` holds `world_reward`, the reward that the world itself gave; `error`, in scaled
     units; `region`, whose expert predicted; and `progress`, of that region before it learnt.
 
     Args:
-        env: A world whose actions and observations are bounded, flat boxes.
+        env: A world.
         config: The numbers of the algorithm. Those by which IAC chooses actions (`choice`,
             `n_candidates`, `epsilon`) have no effect here.
         outcomes: The names of the sensors to predict, or "all".
@@ -60,30 +62,48 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
         scale: What worth is multiplied by. Progress is small, in the toy room some 0.01 at best;
             most libraries expect rewards of about 1. Infinite worth, as that of novelty where
             nothing is known, gives no reward.
+        encoder: What makes sensors of pictures: `convolution`, `pixels` or `module:Name`.
+        sensor_bounds: Low and high of sensors, in raw units, by name; the experts see readings
+            beyond as the bound.
+        bounds_from: How many random decisions, in a copy of the world, find those of others that
+            have none.
 
     Attributes:
         agent: The experts, a population of one; another one after a reset with a seed.
         last: The last step; None before the first one.
 
     Raises:
-        ValueError: A space or an outcome does not fit, or `when` or `scale` is none of the above.
+        ValueError: A space or an outcome does not fit, `when`, `scale` or the encoder is none of
+            the above, or bounds must be found and the world cannot be made once more.
     """
 
     def __init__(
         self,
-        env: gym.Env[Array, Array],
+        env: gym.Env[Any, Any],
         config: IACConfig | None = None,
         *,
         outcomes: Sequence[str] | Literal["all"] = "all",
         seed: int = 0,
         when: When = "learnt",
         scale: float = 1.0,
+        encoder: str = CONVOLUTION,
+        sensor_bounds: Mapping[str, tuple[float, float]] | None = None,
+        bounds_from: int = BOUNDS_FROM,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
-            self, config=config, outcomes=outcomes, seed=seed, when=when, scale=scale
+            self,
+            config=config,
+            outcomes=outcomes,
+            seed=seed,
+            when=when,
+            scale=scale,
+            encoder=encoder,
+            sensor_bounds=sensor_bounds,
+            bounds_from=bounds_from,
         )
         gym.Wrapper.__init__(self, env)
-        space = SensorimotorSpace.from_env(env, outcomes)
+        self._senses = Senses(env, encoder, sensor_bounds, bounds_from)
+        space = SensorimotorSpace.from_env(self._senses, outcomes)
         self._onlooker = _Onlooker(IAC(space, config, [seed]), when, scale)
 
     @property
@@ -98,15 +118,15 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; with a seed, new experts too."""
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._onlooker.begin_anew()
-        self._onlooker.see(observation[None])
+        self._onlooker.see(self._senses.sensors(observation))
         return observation, info
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take an action in the world, and let the experts learn from the outcome.
 
         Raises:
@@ -114,10 +134,11 @@ class ProgressReward(gym.Wrapper[Array, Array, Array, Array], gym.utils.RecordCo
             ValueError: An action or a sensor is outside its bounds.
             FloatingPointError: A loss is not finite.
         """
-        self._onlooker.take(np.asarray(action)[None])
+        self._onlooker.take(self._senses.actions(action))
         observation, world_reward, terminated, truncated, info = self.env.step(action)
-        rewards, seen = self._onlooker.observe(observation[None])
-        self._onlooker.see(observation[None])
+        sensors = self._senses.sensors(observation)
+        rewards, seen = self._onlooker.observe(sensors)
+        self._onlooker.see(sensors)
         mine = {name: column.item() for name, column in seen.items()}
         info = {**info, INFO: {"world_reward": world_reward, **mine}}
         return observation, rewards.item(), terminated, truncated, info
@@ -137,6 +158,9 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         seeds: One for each world's experts; 0, 1, ... if not given.
         when: When worth is computed: `"learnt"` or `"chosen"`.
         scale: What worth is multiplied by.
+        encoder: As for `ProgressReward`.
+        sensor_bounds: As for `ProgressReward`.
+        bounds_from: As for `ProgressReward`.
         device: Where the experts are kept.
 
     Attributes:
@@ -157,13 +181,17 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         seeds: Sequence[int] | None = None,
         when: When = "learnt",
         scale: float = 1.0,
+        encoder: str = CONVOLUTION,
+        sensor_bounds: Mapping[str, tuple[float, float]] | None = None,
+        bounds_from: int = BOUNDS_FROM,
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(env)
         seeds = range(env.num_envs) if seeds is None else seeds
         if len(seeds) != env.num_envs:
             raise ValueError(f"seeds must name one for each of {env.num_envs} worlds, got {seeds}")
-        space = SensorimotorSpace.from_env(env, outcomes)
+        self._senses = Senses(env, encoder, sensor_bounds, bounds_from)
+        space = SensorimotorSpace.from_env(self._senses, outcomes)
         self._onlooker = _Onlooker(IAC(space, config, seeds, device), when, scale)
 
     @property
@@ -180,11 +208,11 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes; with a seed, new experts too."""
-        sensors, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        observations, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         if seed is not None:
             self._onlooker.begin_anew()
-        self._onlooker.see(sensors)
-        return sensors, info
+        self._onlooker.see(self._senses.sensors(observations))
+        return observations, info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Take actions in the worlds, and let the experts learn from the outcomes.
@@ -195,14 +223,15 @@ class VectorProgressReward(gym.vector.VectorWrapper[Any, Any, Any, Any, Any]):
                 that do not show its end.
             FloatingPointError: A loss is not finite.
         """
-        self._onlooker.take(actions)
-        sensors, world_rewards, terminated, truncated, info = self.env.step(actions)
-        outcomes = outcome_of(self.env, sensors, terminated | truncated, info)
+        self._onlooker.take(self._senses.actions(actions))
+        observations, world_rewards, terminated, truncated, info = self.env.step(actions)
+        sensors, is_over = self._senses.sensors(observations), terminated | truncated
+        outcomes = outcome_of(self.env, sensors, is_over, self._senses.info(info))
         rewards, seen = self._onlooker.observe(outcomes)
         self._onlooker.see(sensors)
         mine = {name: _like(world_rewards, column) for name, column in seen.items()}
         info = {**info, INFO: {"world_reward": world_rewards, **mine}}
-        return sensors, _like(world_rewards, rewards), terminated, truncated, info
+        return observations, _like(world_rewards, rewards), terminated, truncated, info
 
 
 class _Onlooker:

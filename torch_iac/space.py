@@ -7,17 +7,23 @@ Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal, Protocol, Self
 
 import gymnasium as gym
 import numpy as np
 
-WorldOrWorlds = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
-"""A single world of Gymnasium, or a vector of them."""
-
 MOST_BOUND, LEAST_SPAN, LEAST_SHARE = 1e30, 1e-30, 2.0**-20
 """The largest bound, and how narrow a range may be, in raw units and as a share of its larger
 bound: beyond, float32 overflows, or tells only a few values in the range apart."""
+
+MOST_VALUES = 2**20
+"""Limit of the values of a dimension that has but some."""
+
+
+class HasSpaces(Protocol):
+    """What has an action space and an observation space: a world, or a vector of worlds."""
+
+    metadata: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -28,21 +34,32 @@ class Dimension:
         name: Its name.
         low: Its least value, in raw units.
         high: Its greatest value, in raw units.
+        n_values: How many values it has, evenly spaced from low to high; None if any number between
+            them is one.
 
     Raises:
-        ValueError: The bounds are not finite, not in order, or too large or too close for float32.
+        ValueError: The bounds are not finite, not in order, or too large or too close for float32,
+            or the number of values is below 2 or above `MOST_VALUES`.
     """
 
     name: str
     low: float
     high: float
+    n_values: int | None = None
 
     def __post_init__(self) -> None:
         bounds = f"[{self.low}, {self.high}]"
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ValueError(f"the bounds of {self.name} must be finite and in order, got {bounds}")
-        largest, span = max(abs(self.low), abs(self.high)), self.high - self.low
-        if largest > MOST_BOUND or span < max(LEAST_SPAN, largest * LEAST_SHARE):
+        largest, apart = max(abs(self.low), abs(self.high)), self.high - self.low
+        if self.n_values is not None:
+            if not 2 <= self.n_values <= MOST_VALUES:
+                raise ValueError(
+                    f"the values of {self.name} must number from 2 to {MOST_VALUES:,}, "
+                    f"got {self.n_values}"
+                )
+            apart /= self.n_values - 1
+        if largest > MOST_BOUND or apart < max(LEAST_SPAN, largest * LEAST_SHARE):
             raise ValueError(
                 f"the bounds of {self.name} must be numbers that float32 holds well apart, "
                 f"got {bounds}"
@@ -85,21 +102,24 @@ class SensorimotorSpace:
     @classmethod
     def from_env(
         cls,
-        env: WorldOrWorlds,
+        env: HasSpaces,
         outcomes: Sequence[str] | Literal["all"] = "all",
     ) -> Self:
         """Return the space of a Gymnasium world whose actions and observations are boxes.
 
         Names come from the world's `metadata["action_names"]` and `metadata["sensor_names"]`;
-        without them they are `action_0`, `action_1`, ... and `sensor_0`, ...
+        without them they are `action_0`, `action_1`, ... and `sensor_0`, ... Its
+        `metadata["action_values"]` may say how many values each action has, evenly spaced between
+        its bounds; None for any number. `torch_iac.worlds.spaces.FlatWorld` makes boxes of other
+        spaces.
 
         Args:
             env: A world, or a vector of worlds.
             outcomes: The names of the sensors to predict, or "all".
 
         Raises:
-            ValueError: A space is not a bounded, flat box, actions are whole numbers, or an outcome
-                is no sensor.
+            ValueError: A space is not a bounded, flat box, that of the actions is of whole
+                numbers without `action_values`, or an outcome is no sensor.
         """
         actions = _dimensions(env, "action")
         sensors = _dimensions(env, "observation")
@@ -131,10 +151,11 @@ class SensorimotorSpace:
     def to_json(self) -> dict[str, dict[str, list[float]]]:
         """Return each name with its bounds in raw units, `[low, high]`.
 
-        They are under `actions`, `sensors` and `outcomes`.
+        They are under `actions`, `sensors` and `outcomes`. Of a dimension that has but some values
+        their number follows, `[low, high, n_values]`.
         """
         return {
-            kind: {d.name: [d.low, d.high] for d in getattr(self, kind)}
+            kind: {of.name: _numbers(of) for of in getattr(self, kind)}
             for kind in ("actions", "sensors", "outcomes")
         }
 
@@ -148,32 +169,47 @@ class SensorimotorSpace:
         """
         return cls(
             *(
-                tuple(Dimension(name, low, high) for name, (low, high) in bounds[kind].items())
+                tuple(_dimension(name, *numbers) for name, numbers in bounds[kind].items())
                 for kind in ("actions", "sensors", "outcomes")
             )
         )
 
 
-def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:
-    box = _box(env, kind)
+def _numbers(dimension: Dimension) -> list[float]:
+    bounds = [dimension.low, dimension.high]
+    return bounds if dimension.n_values is None else [*bounds, dimension.n_values]
+
+
+def _dimension(name: str, low: float, high: float, n_values: float | None = None) -> Dimension:
+    return Dimension(name, low, high, None if n_values is None else int(n_values))
+
+
+def _dimensions(env: HasSpaces, kind: Literal["action", "observation"]) -> tuple[Dimension, ...]:
+    box = space_of(env, kind)
     if not isinstance(box, gym.spaces.Box) or len(box.shape) != 1:
-        raise ValueError(f"the {kind} space must be a flat Box, got {box}")
-    if kind == "action" and not np.issubdtype(box.dtype, np.floating):
+        raise ValueError(
+            f"the {kind} space must be a flat Box, got {box}; FlatWorld makes others one"
+        )
+    counts = env.metadata.get("action_values") if kind == "action" else None
+    if kind == "action" and counts is None and not np.issubdtype(box.dtype, np.floating):
         raise ValueError(f"the action space must be of real numbers, got {box}")
     names = names_of(env, "action" if kind == "action" else "sensor")
+    counts = (None,) * len(names) if counts is None else tuple(counts)
+    if len(counts) != len(names):
+        raise ValueError(f"action_values must number {len(names)} dimensions, got {counts}")
     if not np.isfinite(box.low).all() or not np.isfinite(box.high).all():
         raise ValueError(f"the {kind} space must have finite bounds, got {box}")
-    bounds = zip(names, box.low.tolist(), box.high.tolist(), strict=True)
-    return tuple(Dimension(name, low, high) for name, low, high in bounds)
+    columns = zip(names, box.low.tolist(), box.high.tolist(), counts, strict=True)
+    return tuple(Dimension(*column) for column in columns)
 
 
-def names_of(env: WorldOrWorlds, kind: Literal["action", "sensor"]) -> tuple[str, ...]:
+def names_of(env: HasSpaces, kind: Literal["action", "sensor"]) -> tuple[str, ...]:
     """Return the names of a world's actions or sensors, which are flat boxes.
 
     Raises:
         ValueError: The world names more or fewer than there are.
     """
-    n_names = _box(env, "action" if kind == "action" else "observation").shape[0]
+    n_names = space_of(env, "action" if kind == "action" else "observation").shape[0]
     key = f"{kind}_names"
     names = tuple(env.metadata.get(key) or (f"{kind}_{i}" for i in range(n_names)))
     if len(names) != n_names:
@@ -181,7 +217,8 @@ def names_of(env: WorldOrWorlds, kind: Literal["action", "sensor"]) -> tuple[str
     return names
 
 
-def _box(env: WorldOrWorlds, kind: str) -> Any:
+def space_of(env: HasSpaces, kind: Literal["action", "observation"]) -> Any:
+    """Return a world's space, or that of each world of a vector."""
     return getattr(env, f"single_{kind}_space", None) or getattr(env, f"{kind}_space")
 
 

@@ -4,11 +4,11 @@
 
 lets robots develop in worlds of Gymnasium. It prints, for actions
 held for one step and for ten, how many of the cuts are on an action, for only there can a robot
-choose; then in which posture swimmers spend their time, and draws that. Needs the extra `mujoco`.
-Runs that are in the folder already are not run again.
+choose; then what swimmers, and robots in three worlds of other people, spend their time with, and
+draws that. Needs the extra `worlds`. Runs that are in the folder already are not run again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,26 +16,96 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import tyro
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac import Drive, Experiment, IACConfig, Progress, Random
 from torch_iac.analysis.bootstrap import band
-from torch_iac.analysis.style import STYLE, ZONE_COLOURS, legend, time_axis
+from torch_iac.analysis.style import LINES, STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
 WORLDS = ("Pendulum-v1", "MountainCarContinuous-v0", "Swimmer-v5")
 DRIVES: dict[str, Drive] = {"progress": Progress(), "random": Random()}
-SWIMMER, HOLDS = WORLDS[-1], (1, 10)
+HOLDS = (1, 10)
 STOP = 1.7
 """Radians: a joint of the swimmer that is bent so far is at its stop, which is at 1.745."""
-POSTURES = ("both joints at a stop", "one joint at a stop", "no joint at a stop")
+REST = 0.02
+"""Metres a second: a ball that is slower in a direction is at rest in it."""
 N_PARTS = 4
 """Shares and errors are told for so many equal parts of a run."""
 N_POINTS = 40
 """A curve has so many points."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A world, and the kinds of decisions that robots take there."""
+
+    name: str
+    """What it is called in the tables."""
+    experiment: Mapping[str, Any]
+    """The fields of its experiments."""
+    kinds: tuple[str, ...]
+    """The kinds of decisions."""
+    kind_of: Callable[[Run], NDArray[np.intp]]
+    """Returns the kind of each decision, shape `(T, A)`."""
+
+
+def swimmers_kinds(run: Run) -> NDArray[np.intp]:
+    """Return in which posture each swimmer was."""
+    at_stop = [np.abs(run.column(f"outcome/sensor_{joint}")) > STOP for joint in (1, 2)]
+    return np.asarray(2 - np.sum(at_stop, axis=0))
+
+
+def balls_kinds(run: Run) -> NDArray[np.intp]:
+    """Return in how many directions each ball moved after a push."""
+    speeds = [np.abs(run.column(f"outcome/observation/{place}")) for place in (2, 3)]
+    return np.asarray(np.sum([speed > REST for speed in speeds], axis=0))
+
+
+def kinds_of_actions(of_action: Sequence[int]) -> Callable[[Run], NDArray[np.intp]]:
+    """Return what tells decisions apart by their action: the kind of each."""
+
+    def kind_of(run: Run) -> NDArray[np.intp]:
+        return np.asarray(of_action)[run.column("action/action_0").astype(np.intp)]
+
+    return kind_of
+
+
+SWIMMER = Subject(
+    "swimmer",
+    {"world": "Swimmer-v5", "hold": 10},
+    ("both joints at a stop", "one joint at a stop", "no joint at a stop"),
+    swimmers_kinds,
+)
+OTHERS = (
+    Subject(
+        "MiniGrid",
+        {"world": "minigrid:MiniGrid-MultiRoom-N2-S4-v0"},
+        ("does nothing", "steps or opens", "turns"),
+        # Left, right, forward, pick up, drop, toggle, done.
+        kinds_of_actions([2, 2, 1, 0, 0, 1, 0]),
+    ),
+    Subject(
+        "FrozenLake",
+        {"world": "FrozenLake-v1"},
+        ("left", "up", "down or right"),
+        kinds_of_actions([0, 2, 2, 1]),  # left, down, right, up
+    ),
+    Subject(
+        "PointMaze",
+        {
+            "world": "gymnasium_robotics:PointMaze_UMaze-v3",
+            "hold": 20,
+            "outcomes": tuple(f"observation/{place}" for place in range(4)),
+        },
+        ("at rest", "moves along an axis", "moves along both"),
+        balls_kinds,
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -50,29 +120,39 @@ class Study:
     """How many swimmers are watched for longer."""
     swimmer_steps: int = 10_000
     """How many decisions each of them takes."""
+    others: int = 5
+    """How many robots are watched in each of three worlds of other people."""
+    other_steps: int = 3_000
+    """How many decisions each of them takes."""
     out: Path = Path("runs/other_worlds")
     """Where the run folders go."""
-    picture: Path = Path("docs/images/swimmer.png")
-    """Where the picture goes."""
+    pictures: Path = Path("docs/images")
+    """Where the pictures go."""
     processes: int = 2
     """How many runs go on at once."""
 
 
 def main(study: Study) -> None:
-    """Run what is not there yet, then print the tables and draw the picture."""
+    """Run what is not there yet, then print the tables and draw the pictures."""
     tell_choices(study)
-    swimmers = runs_of(
-        study, "swimmers", [(SWIMMER, HOLDS[-1])], study.swimmers, study.swimmer_steps
-    )[0]
-    for name, run in zip(DRIVES, swimmers, strict=True):
-        tell_postures(name, run)
-    draw(swimmers, study.picture)
+    (swimmers,) = runs_of(
+        study, "swimmers", {"swimmer": SWIMMER.experiment}, study.swimmers, study.swimmer_steps
+    )
+    fields = {subject.name: subject.experiment for subject in OTHERS}
+    others = runs_of(study, "others", fields, study.others, study.other_steps)
+    for subject, pair in zip((SWIMMER, *OTHERS), (swimmers, *others), strict=True):
+        for drive, run in zip(DRIVES, pair, strict=True):
+            tell(subject, drive, run)
+    study.pictures.mkdir(parents=True, exist_ok=True)
+    draw([SWIMMER], [swimmers], study.pictures / "swimmer.png")
+    draw(OTHERS, others, study.pictures / "other_worlds.png")
 
 
 def tell_choices(study: Study) -> None:
     """Print where the trees let robots choose, and whether they then do otherwise."""
     kinds = [(world, hold) for world in WORLDS for hold in HOLDS]
-    pairs = runs_of(study, "choices", kinds, study.robots, study.steps)
+    fields = {f"{world}-hold-{hold}": {"world": world, "hold": hold} for world, hold in kinds}
+    pairs = runs_of(study, "choices", fields, study.robots, study.steps)
     print("| world | held for | cuts on an action | the drive changes what is done by |")
     print("|---|---|---|---|")
     for (world, hold), (curious, random) in zip(kinds, pairs, strict=True):
@@ -82,18 +162,18 @@ def tell_choices(study: Study) -> None:
 
 
 def runs_of(
-    study: Study, folder: str, kinds: Sequence[tuple[str, int]], n_robots: int, n_steps: int
+    study: Study, folder: str, worlds: Mapping[str, Mapping[str, Any]], n_robots: int, n_steps: int
 ) -> list[list[Run]]:
-    """Return the runs with each drive, in worlds in which an action is held for some steps.
+    """Return the runs with each drive, in worlds given by the fields of their experiments.
 
     All robots of a world and a drive are one run; it is run if it is not there yet.
     """
     experiments = {
-        f"{world}-hold-{hold}-{name}": Experiment(
-            world=world, hold=hold, config=IACConfig(drive=drive, meta=None), steps=n_steps
+        f"{name}-{drive}": Experiment(
+            **fields, config=IACConfig(drive=DRIVES[drive], meta=None), steps=n_steps
         )
-        for world, hold in kinds
-        for name, drive in DRIVES.items()
+        for name, fields in worlds.items()
+        for drive in DRIVES
     }
     runs = run_variants(
         study.out / folder,
@@ -102,7 +182,7 @@ def runs_of(
         block=n_robots,
         processes=study.processes,
     )
-    return [[runs[f"{world}-hold-{hold}-{name}"][0] for name in DRIVES] for world, hold in kinds]
+    return [[runs[f"{name}-{drive}"][0] for drive in DRIVES] for name in worlds]
 
 
 def actions(run: Run) -> NDArray[Any]:
@@ -116,56 +196,65 @@ def cuts_on_actions(run: Run) -> str:
     return f"{sum(cut.startswith('action_') for cut in cuts)} of {len(cuts)}"
 
 
-def postures(run: Run) -> NDArray[np.intp]:
-    """Return which of the postures each swimmer was in, shape `(T, A)`."""
-    at_stop = [np.abs(run.column(f"outcome/sensor_{joint}")) > STOP for joint in (1, 2)]
-    return np.asarray(2 - np.sum(at_stop, axis=0))
-
-
-def shares(run: Run, n_parts: int) -> NDArray[np.float64]:
-    """Return the share of each posture in equal parts of a run, shape `(parts, A, postures)`."""
-    parts = np.array_split(postures(run), n_parts)
+def shares(subject: Subject, run: Run, n_parts: int) -> NDArray[np.float64]:
+    """Return the share of each kind in equal parts of a run, shape `(parts, A, kinds)`."""
+    parts = np.array_split(subject.kind_of(run), n_parts)
     return np.stack(
-        [[(part == p).mean(axis=0) for p in range(len(POSTURES))] for part in parts]
+        [[(part == kind).mean(axis=0) for kind in range(len(subject.kinds))] for part in parts]
     ).transpose(0, 2, 1)
 
 
-def tell_postures(name: str, run: Run) -> None:
-    """Print the share of each posture, part by part, and how well it is predicted."""
-    of_parts, errors, where = shares(run, N_PARTS), run.column("error"), postures(run)
-    print(f"\n| {name} | {' | '.join(f'part {i + 1}' for i in range(N_PARTS))} | error |")
+def tell(subject: Subject, drive: str, run: Run) -> None:
+    """Print the share of each kind, part by part, and how well it is predicted."""
+    of_parts, errors, kinds = (
+        shares(subject, run, N_PARTS),
+        run.column("error"),
+        subject.kind_of(run),
+    )
+    heads = " | ".join(f"part {i + 1}" for i in range(N_PARTS))
+    print(f"\n| {subject.name}, {drive} | {heads} | error |")
     print("|---" * (N_PARTS + 2) + "|")
-    for place, posture in enumerate(POSTURES):
+    for place, kind in enumerate(subject.kinds):
         cells = [
             f"{robots.mean():.0%} ({robots.min():.0%} to {robots.max():.0%})"
             for robots in of_parts[:, :, place]
         ]
-        print(f"| {posture} | {' | '.join(cells)} | {errors[where == place].mean():.4f} |")
-    first, second = shares(run, 2)[:, :, 0]
-    n_folded_first = int((first > second).sum())
-    print(f"\nBoth at a stop more in the first half: {n_folded_first} of {run.n_agents} robots.")
+        print(f"| {kind} | {' | '.join(cells)} | {errors[kinds == place].mean():.4f} |")
+    first, second = shares(subject, run, 2)[:, :, 0]
+    n_more = int((first > second).sum())
+    print(f"\nMore of {subject.kinds[0]} in the first half: {n_more} of {run.n_agents} robots.")
 
 
-def draw(runs: Sequence[Run], picture: Path) -> None:
-    """Draw the share of each posture over time, for each drive; bands are 95 % intervals."""
+def draw(subjects: Sequence[Subject], pairs: Sequence[Sequence[Run]], picture: Path) -> None:
+    """Draw the share of each kind over time, for each drive; bands are 95 % intervals.
+
+    Each world is a row of panels, which has a key of its own.
+    """
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 2.7), layout="constrained")
-        panels = figure.subplots(1, len(runs), sharey=True)
-        for panel, run, drive in zip(panels, runs, DRIVES, strict=True):
-            time_axis(panel, run.n_decisions)
-            of_parts = shares(run, N_POINTS)
-            middles = (np.arange(N_POINTS) + 0.5) * run.n_decisions / N_POINTS
-            for place, posture in enumerate(POSTURES):
-                colour, robots = ZONE_COLOURS[place], of_parts[:, :, place]
-                panel.plot(middles, robots.mean(axis=1), color=colour, label=posture)
-                panel.fill_between(middles, *band(robots), color=colour, alpha=0.25, linewidth=0)
-            panel.set_title(f"drive {drive}", fontsize=8)
-        panels[0].set_ylim(0, 1)
-        panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
-        panels[0].set_ylabel("Share of time")
-        legend(figure, panels[0].get_legend_handles_labels()[0], n_columns=3)
-        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure = Figure(figsize=(7.0, 2.7 * len(subjects)), layout="constrained")
+        rows = figure.subfigures(len(subjects), 1, squeeze=False)[:, 0]
+        for row, subject, pair in zip(rows, subjects, pairs, strict=True):
+            panels = row.subplots(1, len(pair), sharey=True)
+            for panel, run, drive in zip(panels, pair, DRIVES, strict=True):
+                draw_shares(panel, subject, run)
+                name = "" if len(subjects) == 1 else f"{subject.name}, "
+                panel.set_title(f"{name}drive {drive}", fontsize=8)
+            panels[0].set_ylim(0, 1)
+            panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))
+            panels[0].set_ylabel("Share of time")
+            legend(row, panels[0].get_legend_handles_labels()[0], n_columns=3)
         figure.savefig(picture, dpi=200)
+
+
+def draw_shares(panel: Axes, subject: Subject, run: Run) -> None:
+    """Draw the share of each kind over time in one panel."""
+    time_axis(panel, run.n_decisions)
+    of_parts = shares(subject, run, N_POINTS)
+    middles = (np.arange(N_POINTS) + 0.5) * run.n_decisions / N_POINTS
+    for place, kind in enumerate(subject.kinds):
+        colour, robots, line = ZONE_COLOURS[place], of_parts[:, :, place], LINES[place]
+        panel.plot(middles, robots.mean(axis=1), line, color=colour, label=kind)
+        panel.fill_between(middles, *band(robots), color=colour, alpha=0.25, linewidth=0)
 
 
 if __name__ == "__main__":

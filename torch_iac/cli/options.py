@@ -18,6 +18,7 @@ from torch_iac.kinds import KINDS, named
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 from torch_iac.training import CHECKPOINT_EVERY
 from torch_iac.worlds.bounds import parse_bounds
+from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.options import parse_options
 
 GROUPS = {
@@ -25,7 +26,7 @@ GROUPS = {
         *("world", "experts", "drive", "choice", "steps", "agents", "seed", "out", "device"),
         *("shadows", "mp", "preset", "config"),
     ),
-    "world": ("outcomes", "world_options", "hold", "sensor_bounds", "bounds_from"),
+    "world": ("outcomes", "world_options", "hold", "encoder", "sensor_bounds", "bounds_from"),
     "recording": (
         *("log_every", "recorded_rows", "recorded_agents", "checkpoint_every", "test_every"),
     ),
@@ -87,6 +88,9 @@ class Train:
     """Arguments of the world, such as beams=4 sensor_noise=0."""
     hold: int = 1
     """For how many steps of the world each action is held."""
+    encoder: str = CONVOLUTION
+    """What makes sensors of pictures: convolution, a fixed random one; pixels, each of which is
+    then a sensor; or module:Name, a torch.nn.Module of your own."""
     sensor_bounds: tuple[str, ...] = ()
     """Bounds of sensors, such as sensor_4=-10,10; readings beyond are clipped."""
     bounds_from: int = 1000

@@ -107,7 +107,7 @@ def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
 
 def _settings(run: Run) -> dict[str, Any]:
     """Return the config's numbers, each under its whole name."""
-    names = ("steps", "device", "world", "world_options", "hold", "sensor_bounds")
+    names = ("steps", "device", "world", "world_options", "hold", "encoder", "sensor_bounds")
     parts = {name: run.config[name] for name in names if name in run.config}
     return _flat({**parts, **run.config["iac"]})
 

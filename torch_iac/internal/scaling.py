@@ -1,7 +1,6 @@
 """Raw units to the unit interval and back."""
 
 from collections.abc import Sequence
-from dataclasses import astuple
 
 import torch
 from torch import Tensor
@@ -39,6 +38,10 @@ class Scale:
         self._least = (low - slack).to(device, torch.float32)
         self._most = (high + slack).to(device, torch.float32)
 
+    def of_drawn(self, drawn: Tensor) -> Tensor:
+        """Return uniform numbers `(..., n)` in [0, 1), multiples of `UNIT_STEP`, as scaled ones."""
+        return drawn
+
     def to_unit(self, raw: Tensor) -> Tensor:
         """Return raw values `(..., n)` scaled to [0, 1], clipped, in multiples of `UNIT_STEP`."""
         # No `addcmul`: some processors round it once, others twice.
@@ -70,8 +73,74 @@ class Scale:
         if self.contains(raw):
             return
         row, column = self.outside(raw).nonzero()[0].tolist()
-        name, low, high = astuple(self.dimensions[column])
-        value = raw[row, column].item()
+        of, value = self.dimensions[column], raw[row, column].item()
         raise ValueError(
-            f"{name} must lie in [{low:g}, {high:g}], got {value:g} from {whose} {row}"
+            f"{of.name} must lie in [{of.low:g}, {of.high:g}], got {value:g} from {whose} {row}"
         )
+
+
+class CountedScale(Scale):
+    """A scale for dimensions at least one of which has but some values.
+
+    Args:
+        dimensions: The row.
+        device: Where values will be scaled.
+    """
+
+    def __init__(self, dimensions: Sequence[Dimension], device: torch.device) -> None:
+        super().__init__(dimensions, device)
+        n_values = torch.tensor([float(of.n_values or 0) for of in dimensions], device=device)
+        self._is_counted, self._n_values = n_values > 0, n_values
+        self._n_gaps = (n_values - 1).clamp_(min=1)
+        self._gap = self._span / self._n_gaps
+
+    def of_drawn(self, drawn: Tensor) -> Tensor:
+        """Return uniform numbers `(..., n)` in [0, 1) as scaled values, each equally likely."""
+        places = (drawn * self._n_values).floor_()
+        return torch.where(self._is_counted, self._unit_at(places), drawn)
+
+    def to_unit(self, raw: Tensor) -> Tensor:
+        """Return raw values `(..., n)` scaled to [0, 1]; of counted ones the nearest there is."""
+        places = ((raw - self._low) / self._gap).round_()
+        unit = self._unit_at(places).clamp_(0.0, 1.0)
+        return torch.where(self._is_counted, unit, super().to_unit(raw))
+
+    def to_raw(self, unit: Tensor) -> Tensor:
+        """Return scaled values `(..., n)` in raw units; of counted ones the nearest there is."""
+        places = (unit * self._n_gaps).round_()
+        return torch.where(self._is_counted, self._raw_at(places), super().to_raw(unit))
+
+    def check(self, raw: Tensor, whose: str) -> None:
+        """Refuse values `(n_rows, n)` that are outside their bounds or between two that there are.
+
+        Args:
+            raw: The values.
+            whose: What a row is, such as "agent".
+
+        Raises:
+            ValueError: There are some; the message names the first.
+        """
+        super().check(raw, whose)
+        off = (raw - self.to_raw(self.to_unit(raw))).abs_() > OUTSIDE_TOLERANCE * self._gap
+        off &= self._is_counted
+        if off.any():
+            row, column = off.nonzero()[0].tolist()
+            of, value = self.dimensions[column], raw[row, column].item()
+            raise ValueError(
+                f"{of.name} must be one of {of.n_values} values from {of.low:g} to {of.high:g}, "
+                f"got {value:g} from {whose} {row}"
+            )
+
+    def _unit_at(self, places: Tensor) -> Tensor:
+        """Return values by their places, counted from 0, as multiples of `UNIT_STEP`."""
+        return (places / self._n_gaps / UNIT_STEP).round_().mul_(UNIT_STEP)
+
+    def _raw_at(self, places: Tensor) -> Tensor:
+        """Return values by their places, counted from 0, in raw units."""
+        return self._low + places * self._gap
+
+
+def action_scale(dimensions: Sequence[Dimension], device: torch.device) -> Scale:
+    """Return the scale of a row of actions; a plain one, which is faster, if any number will do."""
+    is_counted = any(of.n_values is not None for of in dimensions)
+    return CountedScale(dimensions, device) if is_counted else Scale(dimensions, device)

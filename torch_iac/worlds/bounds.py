@@ -11,7 +11,7 @@ from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from torch_iac.space import MOST_BOUND, Dimension, names_of
+from torch_iac.space import MOST_BOUND, Dimension, HasSpaces, names_of, space_of
 from torch_iac.worlds.vector import World, outcome_of
 
 MARGIN = 0.1
@@ -105,7 +105,7 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def bounds_of(
-    world: World,
+    world: HasSpaces,
     given: Mapping[str, tuple[float, float]],
     n_decisions: int,
     make_single: Callable[[], World],
@@ -123,7 +123,7 @@ def bounds_of(
     Raises:
         ValueError: A name is no sensor's, or the world names more or fewer than there are.
     """
-    box = world.single_observation_space
+    box = space_of(world, "observation")
     if not isinstance(box, Box) or len(box.shape) != 1:
         return None  # refused when the space is made
     low, high, names = box.low.astype(float), box.high.astype(float), names_of(world, "sensor")

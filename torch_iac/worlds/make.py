@@ -8,6 +8,7 @@ from typing import Any
 from warnings import catch_warnings
 
 import gymnasium as gym
+import numpy as np
 import torch
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
@@ -15,8 +16,10 @@ from gymnasium.wrappers import RepeatAction
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.toy_room import WORLDS
+from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.options import EPISODES, check_options, parameters_of
 from torch_iac.worlds.saving import savable
+from torch_iac.worlds.spaces import FlatWorld, MakeEncoder, encoder_maker, is_flat
 from torch_iac.worlds.vector import World
 
 
@@ -26,8 +29,12 @@ def make_world(
     options: Mapping[str, Any],
     device: torch.device,
     hold: int = 1,
+    encoder: str = CONVOLUTION,
 ) -> World:
     """Return as many worlds as asked for, which can be saved, on the device if they are tensors.
+
+    Spaces of single worlds that are no flat boxes are made some, as `torch_iac.worlds.spaces.Flat`
+    says.
 
     Args:
         name: One of `WORLDS`, or an id of Gymnasium, such as `Pendulum-v1` or
@@ -36,6 +43,7 @@ def make_world(
         options: Arguments of each.
         device: Where worlds that are tensors are.
         hold: For how many steps of the world an action is held.
+        encoder: What makes sensors of pictures: `convolution`, `pixels` or `module:Name`.
 
     Raises:
         ValueError: There is no such world, it has no such option, refuses its value, or cannot
@@ -51,9 +59,43 @@ def make_world(
         if spec.max_episode_steps is not None:
             parameters |= EPISODES
         check_options(name, options, parameters)
-        wrappers = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers: list[Any] = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers.append(partial(_flat, make_encoder=encoder_maker(encoder)))
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
+
+
+class SeededEpisodes(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """A wrapper that seeds every episode, from the seed of the first one.
+
+    Some worlds begin an episode without a seed as chance would have it, and then no run in them
+    could be repeated.
+
+    Args:
+        env: The world.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
+        self._seeds: np.random.Generator | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; the first one with a seed says how those after it begin."""
+        if seed is not None:
+            self._seeds = np.random.default_rng(seed)
+        elif self._seeds is not None:
+            seed = int(self._seeds.integers(2**31))
+        return self.env.reset(seed=seed, options=options)
+
+
+def _flat(env: gym.Env[Any, Any], make_encoder: MakeEncoder | None) -> gym.Env[Any, Any]:
+    """Return a world as it is if it is flat, or made flat, with every episode seeded."""
+    if is_flat(env.action_space, env.observation_space):
+        return env
+    return FlatWorld(SeededEpisodes(env), make_encoder)
 
 
 def _batched(
