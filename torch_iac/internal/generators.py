@@ -10,6 +10,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 GENERATOR = "generator"
 """The argument by which torch's functions take a generator."""
 
+_COMPOSED = tuple(
+    getattr(torch.ops.aten, name).default
+    for name in ("dropout", "feature_dropout", "alpha_dropout", "feature_alpha_dropout")
+)
+
 
 class DrawnFrom(TorchDispatchMode):  # type: ignore[no-untyped-call]
     """A context in which torch draws from a generator, not from the one that all threads share.
@@ -41,6 +46,9 @@ class DrawnFrom(TorchDispatchMode):  # type: ignore[no-untyped-call]
         named = dict(kwargs or {})
         if torch.Tag.nondeterministic_seeded not in func.tags:
             return func(*args, **named)
+        if func in _COMPOSED:  # seen whole in inference mode only; its parts draw, or do not
+            with self:
+                return func.decompose(*args, **named)
         if self._generator is None:
             raise ValueError("random numbers must be drawn in train mode only (self.training)")
         if func is torch.ops.aten.native_dropout.default:  # what a GPU does for `nn.Dropout`
