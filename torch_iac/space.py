@@ -21,7 +21,11 @@ MOST_VALUES = 2**20
 
 
 class HasSpaces(Protocol):
-    """What has an action space and an observation space: a world, or a vector of worlds."""
+    """What has an action space and an observation space: a world, or a vector of worlds.
+
+    Attributes:
+        metadata: What it says of itself, such as the names of its actions.
+    """
 
     metadata: dict[str, Any]
 

@@ -22,6 +22,9 @@ CONVOLUTION, PIXELS = "convolution", "pixels"
 SEED = 0
 """Seed of an encoder's weights, whatever the robots' seeds."""
 
+N_MAPS = 8
+"""How many maps each layer of the random convolution makes."""
+
 WHITE = 255
 """The brightest that a pixel can be."""
 
@@ -50,21 +53,17 @@ class RandomConvolution(nn.Module):
     Curiosity-Driven Learning", section 2.1.
     """
 
-    n_maps, n_quarters = 8, 2
-    first: Tensor
-    second: Tensor
-
     def __init__(self, n_channels: int) -> None:
         super().__init__()
-        self.register_buffer("first", _signs(0, self.n_maps, n_channels, 3, 3))
-        self.register_buffer("second", _signs(1, self.n_maps, self.n_maps, 3, 3))
+        self.first = nn.Buffer(_signs(0, N_MAPS, n_channels, 3, 3))
+        self.second = nn.Buffer(_signs(1, N_MAPS, N_MAPS, 3, 3))
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Return the features, shape `(n, 32)`, of pictures `(n, C, H, W)` in [0, 1]."""
         pixels = (pictures.double() * WHITE).round()
         edges = conv2d(pixels, self.first, stride=2, padding=1).relu()
         shapes = conv2d(edges, self.second, stride=2, padding=1).relu()
-        return adaptive_avg_pool2d(shapes, self.n_quarters).flatten(1)
+        return adaptive_avg_pool2d(shapes, 2).flatten(1)
 
 
 def _signs(stream: int, *shape: int) -> Tensor:

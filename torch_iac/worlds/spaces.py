@@ -16,6 +16,7 @@ Numbers: TypeAlias = NDArray[Any]
 """A row of numbers, shape `(n,)`, in raw units."""
 
 Kind: TypeAlias = Literal["action", "sensor"]
+"""What the numbers of a row are."""
 
 MakeEncoder: TypeAlias = Callable[[tuple[int, ...]], Encoder]
 """Makes the encoder of pictures of a shape."""
