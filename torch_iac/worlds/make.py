@@ -17,7 +17,7 @@ import torch_iac_envs  # noqa: F401 - registers the worlds
 from torch_iac.toy_room import WORLDS
 from torch_iac.worlds.options import EPISODES, check_options, parameters_of
 from torch_iac.worlds.saving import savable
-from torch_iac.worlds.vector import World
+from torch_iac.worlds.vector import CopiedSensors, World
 
 
 def make_world(
@@ -51,7 +51,8 @@ def make_world(
         if spec.max_episode_steps is not None:
             parameters |= EPISODES
         check_options(name, options, parameters)
-        wrappers = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers: list[Any] = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
+        wrappers.append(CopiedSensors)
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
 
