@@ -122,22 +122,23 @@ def zones_of(is_over: Flags, info: Mapping[str, Any]) -> NDArray[Any] | Tensor |
         told[ended] = _told(last_zones, last_told, n_worlds)[ended]
         if last_zones is not None:
             zones = _replaced(last_zones if zones is None else zones, last_zones, ended)
-    if zones is not None and told is not None and not told.all():
-        silent = int(np.flatnonzero(~np.asarray(told))[0])
-        raise ValueError(
-            f'info["zone"] must be there at every step of a world with zones, got none of world '
-            f"{silent}"
-        )
-    return zones
+    if zones is None or told is None or told.all():
+        return zones
+    if not told.any():
+        return None
+    raise ValueError(
+        'info["zone"] must be there at every step of a world with zones, got none of world '
+        f"{_numbers(~told)[0]}"
+    )
 
 
 def _mode(env: World) -> Any:
     return env.metadata.get("autoreset_mode")
 
 
-def _numbers(is_over: Flags) -> NDArray[np.intp]:
-    """Return the numbers of the worlds whose episode ended."""
-    return np.flatnonzero(is_over.cpu() if isinstance(is_over, Tensor) else is_over)
+def _numbers(flags: Flags) -> NDArray[np.intp]:
+    """Return the numbers of the worlds for which it is so, such as those whose episode ended."""
+    return np.flatnonzero(_array(flags))
 
 
 def _last_zones(last: Any) -> tuple[Any, Any]:
@@ -149,14 +150,14 @@ def _last_zones(last: Any) -> tuple[Any, Any]:
         return last.get("zone"), last.get("_zone")
     zones = [(of or {}).get("zone") for of in last]
     told = np.array([zone is not None for zone in zones])
-    return np.array([0 if zone is None else zone for zone in zones]), told
+    return np.array([0 if zone is None else int(zone) for zone in zones]), told
 
 
 def _told(zones: Any, told: Any, n_worlds: int) -> NDArray[np.bool_]:
     """Return whether each world tells of a zone, shape `(A,)`: without a mask, all or none."""
     if told is None:
         return np.full(n_worlds, zones is not None)
-    return np.array(told.cpu() if isinstance(told, Tensor) else told, np.bool_)
+    return np.array(told.tolist(), np.bool_)
 
 
 def _replaced(values: Any, last: Any, ended: NDArray[np.intp]) -> Any:
@@ -172,14 +173,18 @@ def _replaced(values: Any, last: Any, ended: NDArray[np.intp]) -> Any:
     elif isinstance(values, Tensor):
         rows = torch.stack([torch.as_tensor(last[world]) for world in ended])
     else:
-        rows = np.stack([np.asarray(last[world]) for world in ended])
+        rows = np.stack([_array(last[world]) for world in ended])
     if isinstance(values, Tensor):
         values = values.clone()
         values[ended] = torch.as_tensor(rows).to(values)
     else:
         values = np.array(values)
-        values[ended] = rows
+        values[ended] = _array(rows)
     return values
+
+
+def _array(values: Any) -> NDArray[Any]:
+    return values.numpy(force=True) if isinstance(values, Tensor) else np.asarray(values)
 
 
 def _in_one_place(one: Any, other: Any) -> bool:
