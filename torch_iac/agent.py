@@ -14,6 +14,7 @@ from torch_iac.drives.protocol import Candidates, Knowledge
 from torch_iac.experts.hybrid import HybridPool
 from torch_iac.experts.protocol import ExpertPool
 from torch_iac.internal.devices import available_device
+from torch_iac.internal.intake import own_tensor
 from torch_iac.internal.randomness import RandomStream
 from torch_iac.internal.scaling import Scale, action_scale
 from torch_iac.internal.state import State, Stateful
@@ -26,7 +27,8 @@ from torch_iac.regions.tree import RegionTree
 from torch_iac.space import SensorimotorSpace
 
 Array = TypeVar("Array", np.ndarray, Tensor)
-"""Arrays in, arrays out; tensors in, tensors out. Each method gives the shapes."""
+"""Arrays in, arrays out; tensors in, tensors out. Lists are taken as arrays, and numbers of any
+kind as float32. Each method gives the shapes."""
 
 CHOICE_STREAM = 0
 """Which of an agent's random streams its choices are drawn from."""
@@ -193,7 +195,7 @@ class IAC(Stateful):
         actions = self._action_scale.to_raw(situations[:, : len(self.space.actions)])
         nodes = nodes.take(chosen)
         self._decision = _Decision(readings, actions, situations, nodes, random)
-        return actions.cpu().numpy() if isinstance(sensors, np.ndarray) else actions
+        return actions if isinstance(sensors, Tensor) else actions.cpu().numpy()
 
     @with_torch_defaults
     @torch.no_grad()
@@ -237,11 +239,13 @@ class IAC(Stateful):
 
     @with_torch_defaults
     @torch.no_grad()
-    def observe(self, sensors: np.ndarray | Tensor) -> Step:
+    def observe(self, sensors: np.ndarray | Tensor, *, learn: bool = True) -> Step:
         """Learn from what the sensors read after the action.
 
         Args:
             sensors: Shape `(A, sensor_dim)`, in raw units, as an array or a tensor.
+            learn: False leaves everything as it is, the number of decisions too: the step only says
+                what was predicted and how well.
 
         Raises:
             RuntimeError: There was no `act` or `set_actions` before.
@@ -277,11 +281,14 @@ class IAC(Stateful):
                 self.experts.uses_network(rows) if isinstance(self.experts, HybridPool) else None
             ),
         )
-        counts, losses = self._learn(rows, decision, outcomes, errors)
-        if self._judge(readings, decision, counts, losses):
-            full = (counts > self.config.max_examples).nonzero()[:, 0]
-            self._split(decision.nodes.take(full), rows.take(full))
-        self.n_decisions += 1
+        if learn:
+            counts, losses = self._learn(rows, decision, outcomes, errors)
+            if self._judge(readings, decision, counts, losses):
+                full = (counts > self.config.max_examples).nonzero()[:, 0]
+                self._split(decision.nodes.take(full), rows.take(full))
+            self.n_decisions += 1
+        elif self._asks_late:
+            self._check_readings(readings, decision)
         self._decision = None
         return step
 
@@ -308,7 +315,7 @@ class IAC(Stateful):
         situations = torch.split(torch.cat(parts, dim=1), at_once)
         predictions = torch.cat([self._expected_outcomes(of) for of in situations], dim=1)
         predictions = self._outcome_scale.to_raw(predictions)
-        return predictions.cpu().numpy() if isinstance(sensors, np.ndarray) else predictions
+        return predictions if isinstance(sensors, Tensor) else predictions.cpu().numpy()
 
     @with_torch_defaults
     def state(self) -> State:
@@ -401,13 +408,13 @@ class IAC(Stateful):
         self, values: np.ndarray | Tensor, what: str, rows: str, expected: tuple[int, int]
     ) -> Tensor:
         """Return a copy, since worlds reuse their buffers, of values of the right shape."""
-        if tuple(values.shape) != expected:
+        given = own_tensor(values, what, self.device)
+        if given.shape != expected:
             raise ValueError(
                 f"{what} must have the shape ({rows}, {what}) = {expected}, "
-                f"got {tuple(values.shape)}"
+                f"got {tuple(given.shape)}"
             )
-        given = torch.from_numpy(values) if isinstance(values, np.ndarray) else values
-        return given.to(self.device, torch.float32, copy=True)
+        return given
 
     def _scaled(self, values: Array, what: str, n_rows: int, scale: Scale) -> Tensor:
         """Return values of any situations, checked and scaled to the unit cube."""
@@ -509,11 +516,14 @@ class IAC(Stateful):
         full = counts > self.config.max_examples
         *is_wrong, is_full = torch.stack([flags.any() for flags in (*wrong, full)]).tolist()
         if any(is_wrong):
-            for seen in (decision.sensors, readings):
-                self._sensor_scale.check(seen, "agent")
+            self._check_readings(readings, decision)
             for loss in losses:
                 self._refuse_infinite(loss, decision.nodes)
         return bool(is_full)
+
+    def _check_readings(self, readings: Tensor, decision: _Decision) -> None:
+        for seen in (decision.sensors, readings):
+            self._sensor_scale.check(seen, "agent")
 
     def _refuse_infinite(self, losses: Tensor, nodes: Tensor) -> None:
         bad = (~losses.isfinite()).nonzero()

@@ -14,7 +14,7 @@ from torch_iac.internal.validation import check_count
 from torch_iac.runs.checkpoint import Checkpoint, Checkpoints
 from torch_iac.runs.recorder import Recorder
 from torch_iac.worlds.saving import STATE, set_world_state, world_state
-from torch_iac.worlds.vector import World, outcome_of
+from torch_iac.worlds.vector import World, outcome_of, refuse_overwriting, zones_of
 
 SECONDS_BETWEEN_LINES = 10.0
 """Seconds between two lines in the log, where there is no terminal for a progress bar."""
@@ -63,8 +63,9 @@ def train(
 
     Raises:
         ValueError: The number of worlds is not that of the agents, fewer decisions are to be
-            taken than were already, the world cannot be saved, a checkpoint does not fit, or a
-            world whose episodes end was not made with `AutoresetMode.SAME_STEP`.
+            taken than were already, the world cannot be saved, a checkpoint does not fit, a
+            world whose episodes end was not made with `AutoresetMode.SAME_STEP` or overwrites
+            their last sensors, or some worlds tell of zones and others do not.
         FloatingPointError: A loss is not finite.
     """
     if not isinstance(env, gym.vector.VectorEnv):
@@ -76,6 +77,7 @@ def train(
         )
     for name, value in (("n_decisions", n_decisions), ("checkpoint_every", checkpoint_every)):
         check_count(name, value)
+    refuse_overwriting(env)
     sensors = _begin(agent, env, recorder, checkpoints)
     if n_decisions < agent.n_decisions:
         raise ValueError(
@@ -85,9 +87,10 @@ def train(
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
     for _ in _counted(agent.n_decisions, n_decisions):
         sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
-        step = agent.observe(outcome_of(env, sensors, terminated | truncated, info))
+        ends = terminated | truncated
+        step = agent.observe(outcome_of(env, sensors, ends, info))
         if recorder is not None:
-            recorder.record(step, info.get("zone"))
+            recorder.record(step, zones_of(ends, info))
         after(agent)
         is_over = stop()
         is_due = agent.n_decisions % checkpoint_every == 0 and saver and saver.is_affordable

@@ -6,11 +6,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from torch_iac.internal.serialize import pack, unpack
-from torch_iac.worlds.saving import Replayed
+from torch_iac.worlds.make import make_world
+from torch_iac.worlds.saving import Replayed, set_world_state, world_state
+from torch_iac.worlds.vector import World
 
 SEEDS: list[int | None] = [3, 4]
 MUJOCO = pytest.param(
@@ -83,3 +86,54 @@ def test_without_a_seed_for_each_world_nothing_can_be_saved(seed: int | None) ->
     env.reset(seed=seed)
     with pytest.raises(ValueError, match="needs a list of 2 seeds"):
         env.get_state()
+
+
+class Counter(gym.Env[NDArray[Any], NDArray[Any]]):
+    """Its sensor counts its steps; it can be saved, but not the wrappers around it."""
+
+    full_state = 0
+
+    def __init__(self) -> None:
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = gym.spaces.Box(0.0, 10.0, (1,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        self.full_state = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, _: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        self.full_state += 1
+        return np.full(1, self.full_state, np.float32), 0.0, False, False, {}
+
+
+def limited(name: str) -> World:
+    """Return two worlds whose episodes last five decisions, made in one of the ways there are."""
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    if name == "wrapped":
+        return SyncVectorEnv([lambda: gym.wrappers.TimeLimit(Counter(), 5)] * 2, **mode)
+    gym.register("Counter-v0", Counter, max_episode_steps=5)
+    try:
+        if name == "made":
+            return make_world("Counter-v0", 2, {}, torch.device("cpu"))
+        return gym.make_vec("Counter-v0", 2, name, vector_kwargs=mode)
+    finally:
+        del gym.registry["Counter-v0"]
+
+
+@pytest.mark.parametrize("name", ["wrapped", "made", "sync", "async"])
+def test_an_episode_that_is_cut_short_goes_on_from_where_it_was(name: str) -> None:
+    env, again = limited(name), limited(name)
+    actions = np.zeros((2, 1), np.float32)
+    for each in (env, again):
+        each.reset(seed=SEEDS)
+    for _ in range(3):
+        env.step(actions)
+    tensors, content = pack(world_state(env))
+    set_world_state(again, unpack(tensors, content))
+    readings = [[each.step(actions)[0][1].item() for _ in range(6)] for each in (env, again)]
+    assert readings == [[4.0, 0.0, 1.0, 2.0, 3.0, 4.0]] * 2
+    for each in (env, again):
+        each.close()

@@ -26,6 +26,7 @@ from torch_iac.internal.validation import check_count
 from torch_iac.runs.reader import Run
 from torch_iac.space import SensorimotorSpace
 from torch_iac.worlds.make import make_world
+from torch_iac.worlds.vector import outcome_of, zones_of
 
 PATIENCE = 1000
 """Decisions per transition after which a zone counts as not met."""
@@ -88,16 +89,18 @@ def collect(
     """Return transitions under uniformly random actions.
 
     Args:
-        env: One world or more; none whose episodes end by themselves.
+        env: One world or more; if episodes end by themselves, of `AutoresetMode.SAME_STEP`.
         space: Which sensors are outcomes.
         n_transitions: How many are returned.
         seed: Seeds the worlds and the actions.
-        zone: Only transitions in this zone, by its number in `info["zone"]`; all if none is given.
+        zone: Only transitions in this zone, by its number in `info["zone"]`; all if none is given,
+            or the world has no zones.
         anew: Whether every action is taken from where a new episode starts, rather than from where
             the actions before have led.
 
     Raises:
-        ValueError: `n_transitions` is below 1, or the zone is not met.
+        ValueError: `n_transitions` is below 1, the zone is not met, or episodes end in worlds that
+            do not show it.
     """
     check_count("n_transitions", n_transitions)
     low, high = env.single_action_space.low, env.single_action_space.high  # type: ignore[attr-defined]
@@ -108,9 +111,12 @@ def collect(
     for _ in range(PATIENCE * n_transitions):
         actions = draw.uniform(low, high, (env.num_envs, len(low))).astype(np.float32)
         before = np.asarray(sensors).copy()  # worlds reuse their buffers
-        sensors, _, _, _, info = env.step(actions)
-        after = np.asarray(sensors)[:, space.outcome_columns]
-        here = np.full(env.num_envs, True) if zone is None else np.asarray(info["zone"]) == zone
+        sensors, _, terminated, truncated, info = env.step(actions)
+        ends = terminated | truncated
+        after = np.asarray(outcome_of(env, sensors, ends, info))[:, space.outcome_columns]
+        here = np.full(env.num_envs, True)
+        if zone is not None and (zones := zones_of(ends, info)) is not None:
+            here &= np.asarray(zones) == zone
         found.append((actions[here], before[here], after[here]))
         n_found += int(here.sum())
         if n_found >= n_transitions:

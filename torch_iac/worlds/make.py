@@ -20,7 +20,7 @@ from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.options import EPISODES, check_options, parameters_of
 from torch_iac.worlds.saving import savable
 from torch_iac.worlds.spaces import FlatWorld, MakeEncoder, encoder_maker, is_flat
-from torch_iac.worlds.vector import World
+from torch_iac.worlds.vector import CopiedSensors, World
 
 
 def make_world(
@@ -60,7 +60,7 @@ def make_world(
             parameters |= EPISODES
         check_options(name, options, parameters)
         wrappers: list[Any] = [partial(RepeatAction, num_repeats=hold)] if hold > 1 else []
-        wrappers.append(partial(_flat, make_encoder=encoder_maker(encoder)))
+        wrappers += [partial(_flat, make_encoder=encoder_maker(encoder)), CopiedSensors]
         mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
         return savable(gym.make_vec(spec, n_worlds, "sync", mode, wrappers, **options))
 

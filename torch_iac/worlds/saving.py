@@ -12,6 +12,9 @@ from torch_iac.worlds.vector import World
 STATE = "full_state"
 """The attribute of a single world that holds its exact state; it can be read and set."""
 
+ELAPSED = "_elapsed_steps"
+"""The attribute in which Gymnasium's `TimeLimit` counts the steps of an episode."""
+
 
 class Replayed(VectorWrapper):
     """A vector of worlds whose state is its seeds and all actions since.
@@ -88,7 +91,12 @@ def world_state(env: World) -> Any:
         AttributeError: They have neither `get_state` nor `STATE`.
     """
     whole = getattr(_saved_as_one(env), "get_state", None)
-    return whole() if whole else list(env.get_attr(STATE))  # type: ignore[attr-defined]
+    if whole:
+        return whole()
+    states = list(env.get_attr(STATE))  # type: ignore[attr-defined]
+    if not _has_time_limits(env):
+        return states
+    return {"worlds": states, "elapsed": list(env.get_attr(ELAPSED))}  # type: ignore[attr-defined]
 
 
 def set_world_state(env: World, state: Any) -> None:
@@ -96,8 +104,20 @@ def set_world_state(env: World, state: Any) -> None:
     whole = getattr(_saved_as_one(env), "set_state", None)
     if whole:
         whole(state)
-    else:
-        env.set_attr(STATE, state)  # type: ignore[attr-defined]
+        return
+    if isinstance(state, dict):
+        env.set_attr(ELAPSED, state["elapsed"])  # type: ignore[attr-defined]
+        state = state["worlds"]
+    env.set_attr(STATE, state)  # type: ignore[attr-defined]
+
+
+def _has_time_limits(env: World) -> bool:
+    """Return whether episodes end after so many steps, which a wrapper counts, not the world."""
+    worlds = getattr(env.unwrapped, "envs", None)
+    if worlds is not None:
+        return any(world.has_wrapper_attr(ELAPSED) for world in worlds)
+    specs = env.get_attr("spec")  # type: ignore[attr-defined]  # in other processes
+    return any(spec is not None and spec.max_episode_steps is not None for spec in specs)
 
 
 def _saved_as_one(env: World) -> World:

@@ -4,7 +4,7 @@ Shapes: `A` worlds.
 """
 
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_iac.space import space_of
+from torch_iac.space import names_of, space_of
 from torch_iac.worlds.bounds import bounds_of
 from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.spaces import Flat, Row, encoder_maker, flattened, is_flat
@@ -54,7 +54,7 @@ class Senses:
         sensor_bounds: Mapping[str, tuple[float, float]] | None = None,
         bounds_from: int = BOUNDS_FROM,
     ) -> None:
-        make_encoder = encoder_maker(encoder)
+        make_encoder, self._encoder = encoder_maker(encoder), encoder
         spaces = space_of(env, "action"), space_of(env, "observation")
         flat = None if is_flat(*spaces) else Flat(*spaces, env.metadata, make_encoder)
         self._env, self._flat = env, flat
@@ -74,9 +74,21 @@ class Senses:
             ),
         )
         self._bounds: tuple[NDArray[Any], NDArray[Any]] | None = None
+        self._not_the_worlds: dict[str, tuple[float, float]] = {}
         if bounds is not None:
             self.observation_space = bounds.box
-            self._bounds = bounds.box.low, bounds.box.high
+            self._bounds = low, high = bounds.box.low, bounds.box.high
+            names = names_of(self, "sensor")
+            places = [names.index(name) for name in (*bounds.given, *bounds.found)]
+            self._not_the_worlds = {names[at]: (float(low[at]), float(high[at])) for at in places}
+
+    def of_another(self, env: gym.Env[Any, Any] | World) -> Self:
+        """Return what is seen of another world, with the same encoder, in the same bounds.
+
+        Raises:
+            ValueError: It does not have the same sensors, or is refused.
+        """
+        return type(self)(env, self._encoder, self._not_the_worlds)
 
     def actions(self, actions: Any) -> Rows:
         """Return what is done, in the one world or in all, as rows `(A, action_dim)`."""
@@ -100,6 +112,8 @@ class Senses:
 
     def _rows(self, values: Any, kind: str, row: Row | None) -> Rows:
         if not self._is_vector:
+            if row is None and isinstance(values, Tensor):
+                return values[None]
             return np.asarray(row.of_value(values) if row else values)[None]
         if row is None:
             return values if isinstance(values, Tensor) else np.asarray(values)
