@@ -34,6 +34,8 @@ def test_examples_run(
     monkeypatch.chdir(tmp_path)
     if "stable_baselines3" in block:
         pytest.importorskip("stable_baselines3", reason="needs SB3: pip install 'torch_iac[sb3]'")
+    if "torchrl" in block:
+        pytest.importorskip("torchrl", reason="needs TorchRL: pip install 'torch_iac[torchrl]'")
     if "runs/some-run" in block:
         main(["train", "--steps", "20", "--out", "runs/some-run"])
     exec(compile(block, "example", "exec"), {})

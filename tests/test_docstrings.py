@@ -30,6 +30,8 @@ SHAPE = re.compile(r"\b[Ss]hape|\b[Cc]olumns\b|`\((\w+,|\.\.\.)")  # "Shape", `(
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_come_out(name: str) -> None:
+    if name == "torch_iac.torchrl":
+        pytest.importorskip("torchrl", reason="needs TorchRL: pip install 'torch_iac[torchrl]'")
     found = doctest.testmod(import_module(name))
     assert found.attempted
     assert not found.failed

@@ -85,7 +85,7 @@ class TestStableBaselines3:
         before = env.state()
         mean, _ = evaluate_policy(sac, trial, n_eval_episodes=2)
         assert same(env.state(), before)
-        assert np.isfinite(mean)  # type: ignore[arg-type]
+        assert np.isfinite(mean)
         worlds = sac.get_env()
         assert worlds is not None
         worlds.env_method("set_wrapper_attr", "learning", False)
@@ -149,7 +149,8 @@ class Policy(nn.Module):
         self.value = nn.Sequential(nn.Linear(1, 16), nn.Tanh(), nn.Linear(16, 1))
         self.spread = nn.Parameter(torch.zeros(1))
 
-    def of(self, sensors: torch.Tensor) -> torch.distributions.Normal:
+    def of(self, sensors: torch.Tensor) -> Any:
+        """Return the distribution of actions at some sensors."""
         return torch.distributions.Normal(self.mean(sensors), self.spread.exp())
 
 
@@ -203,7 +204,7 @@ def test_a_loop_in_the_style_of_cleanrl_learns_from_it() -> None:
             surrogate = torch.min(ratio * gain, ratio.clamp(0.8, 1.2) * gain)
             loss = -surrogate.mean() + (returns.flatten() - values).square().mean()
             optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             optimiser.step()
     assert moments == progress.agent.n_decisions == 96
     assert ends == [LENGTH] * 36
@@ -232,7 +233,7 @@ def test_each_world_may_normalise_outside_its_own_experts() -> None:
     """As where every world of a vector is wrapped by itself."""
 
     def make() -> gym.Env[Any, Any]:
-        env = ProgressReward(short(), SMALL)
+        env: Any = ProgressReward(short(), SMALL)
         env = gym.wrappers.RecordEpisodeStatistics(gym.wrappers.ClipAction(env))
         env = gym.wrappers.NormalizeReward(gym.wrappers.NormalizeObservation(env))
         box = gym.spaces.Box(-10.0, 10.0, (1,), np.float32)

@@ -170,7 +170,7 @@ def test_a_collector_collects_it() -> None:
     )
     batches = [batch.clone() for batch in collector]
     collector.shutdown()
-    data = torch.cat(batches, dim=1)
+    data: Any = torch.cat(batches, dim=1)
     assert agent.n_decisions == 40
     for number, length in enumerate((LENGTH, LENGTH - 2)):
         rewards = data["next", "intrinsic_reward"][number, :, 0].tolist()

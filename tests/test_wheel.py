@@ -33,7 +33,7 @@ def answer(*words: str | Path, where: Path) -> str:
         env=plain,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=900,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -587,7 +587,7 @@ def test_an_interrupted_run_keeps_its_decisions(
 
 def test_the_installed_command_refuses_too(tmp_path: Path) -> None:
     words = [str(SCRIPT), *f"train --out {tmp_path}/a --world-options smell=1".split()]
-    answer = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    answer = subprocess.run(words, capture_output=True, text=True, timeout=900, check=False)
     assert (answer.returncode, answer.stdout) == (2, "")
     assert answer.stderr.splitlines()[-1].startswith("torch-iac: options of toyroom must be among")
     assert "Traceback" not in answer.stderr
@@ -609,7 +609,7 @@ def test_ctrl_c_ends_the_installed_command_in_order(tmp_path: Path) -> None:
     while not first_part.exists() and process.poll() is None and time.monotonic() < give_up:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=900)
     assert (process.returncode, out) == (130, "")
     sentence = r"torch-iac: stopped after decision \d+; go on with: torch-iac resume (.*)"
     words = re.fullmatch(sentence, err.splitlines()[-1])

@@ -28,7 +28,7 @@ def modules_after(code: str) -> set[str]:
     """Return which packages a fresh Python has imported after some code, whatever that prints."""
     told = "import sys, json; sys.stderr.write(json.dumps([*sys.modules]))"
     words = [sys.executable, "-c", f"{code}\n{told}"]
-    answer = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    answer = subprocess.run(words, capture_output=True, text=True, timeout=900, check=True)
     return {name.partition(".")[0] for name in json.loads(answer.stderr)}
 
 
@@ -186,7 +186,7 @@ def test_ctrl_c_while_it_starts_leaves_no_traceback(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=900,
         check=False,
         # Whoever started the tests may have them ignore Ctrl-C.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),

@@ -256,7 +256,7 @@ def test_a_comparison_that_is_stopped_goes_on(tmp_path: Path, number: signal.Sig
     while not begun.exists() and process.poll() is None and time.monotonic() < give_up:
         time.sleep(0.05)
     process.send_signal(number)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=900)
     assert (process.returncode, out) == (128 + number, "")
     said = f"torch-iac: stopped; go on with: torch-iac compare {folder}"
     assert err.splitlines()[-1] == said, err

@@ -310,7 +310,7 @@ def _run(code: str, *arguments: str) -> str:
 def said_by_python(code: str) -> str:
     """Return what a fresh Python writes to stdout and stderr, C's own lines too."""
     words = [sys.executable, "-c", f"import gymnasium, sys, torch_iac_envs\n{code}"]
-    answer = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    answer = subprocess.run(words, capture_output=True, text=True, timeout=900, check=False)
     return answer.stdout + answer.stderr
 
 

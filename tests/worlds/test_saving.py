@@ -111,10 +111,11 @@ class Counter(gym.Env[NDArray[Any], NDArray[Any]]):
 
 def limited(name: str) -> World:
     """Return two worlds whose episodes last five decisions, made in one of the ways there are."""
-    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    mode: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP}
     if name == "wrapped":
         return SyncVectorEnv([lambda: gym.wrappers.TimeLimit(Counter(), 5)] * 2, **mode)
-    gym.register("Counter-v0", Counter, max_episode_steps=5)
+    maker: Any = Counter
+    gym.register("Counter-v0", maker, max_episode_steps=5)
     try:
         if name == "made":
             return make_world("Counter-v0", 2, {}, torch.device("cpu"))
@@ -128,7 +129,7 @@ def test_an_episode_that_is_cut_short_goes_on_from_where_it_was(name: str) -> No
     env, again = limited(name), limited(name)
     actions = np.zeros((2, 1), np.float32)
     for each in (env, again):
-        each.reset(seed=SEEDS)
+        each.reset(seed=SEEDS)  # type: ignore[arg-type]  # a list is fine
     for _ in range(3):
         env.step(actions)
     tensors, content = pack(world_state(env))

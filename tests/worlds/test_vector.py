@@ -102,7 +102,8 @@ def test_outcomes_and_zones_are_those_of_the_step(tmp_path: Path, vector: Any, t
 @pytest.mark.parametrize("tells", [True, False])
 @pytest.mark.parametrize("reuses", [True, False])
 def test_so_they_are_in_a_world_made_by_its_name(tmp_path: Path, tells: bool, reuses: bool) -> None:
-    gym.register("Steps-v0", Steps, max_episode_steps=4, kwargs={"length": 9})
+    maker: Any = Steps
+    gym.register("Steps-v0", maker, max_episode_steps=4, kwargs={"length": 9})
     try:
         env = make_world("Steps-v0", 2, {"tells": tells, "reuses": reuses}, torch.device("cpu"))
     finally:
@@ -169,7 +170,12 @@ def test_a_world_that_only_sometimes_tells_of_its_zone_is_refused(info: dict[str
 
 
 def test_worlds_need_not_have_zones() -> None:
-    for info in ({}, {"final_info": {"steps": np.array([3])}}, {"final_info": [{}]}):
+    infos: list[dict[str, Any]] = [
+        {},
+        {"final_info": {"steps": np.array([3])}},
+        {"final_info": [{}]},
+    ]
+    for info in infos:
         assert zones_of(np.array([True]), info) is None
 
 
