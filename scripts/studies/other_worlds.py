@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from torch_iac import Drive, Experiment, IACConfig, Progress, Random
 from torch_iac.analysis.bootstrap import band
-from torch_iac.analysis.style import STYLE, ZONE_COLOURS, legend, time_axis
+from torch_iac.analysis.style import STYLE, band_style, legend, time_axis, zone_style
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
@@ -156,9 +156,9 @@ def draw(runs: Sequence[Run], picture: Path) -> None:
             of_parts = shares(run, N_POINTS)
             middles = (np.arange(N_POINTS) + 0.5) * run.n_decisions / N_POINTS
             for place, posture in enumerate(POSTURES):
-                colour, robots = ZONE_COLOURS[place], of_parts[:, :, place]
-                panel.plot(middles, robots.mean(axis=1), color=colour, label=posture)
-                panel.fill_between(middles, *band(robots), color=colour, alpha=0.25, linewidth=0)
+                robots, style = of_parts[:, :, place], zone_style(place)
+                panel.plot(middles, robots.mean(axis=1), label=posture, **style)
+                panel.fill_between(middles, *band(robots), **band_style(style["color"]))
             panel.set_title(f"drive {drive}", fontsize=8)
         panels[0].set_ylim(0, 1)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))

@@ -35,6 +35,9 @@ EVERYWHERE = "everywhere"
 WIDTH = 7.0
 """Inches: the whole width of a page."""
 
+N_TICKS = 3
+"""Ticks along the time of a panel, at most; more would touch those of the next panel."""
+
 LEGEND_LETTERS = 90
 """Characters that fit into a row of the legend."""
 
@@ -156,7 +159,7 @@ def _panels(curves: Mapping[str, Curves], names: Sequence[str]) -> tuple[Figure,
     figure = Figure(figsize=(WIDTH, 2.35 + 0.15 * n_rows), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for panel, name in zip(axes, names, strict=True):
-        time_axis(panel, max(of.n_decisions for of in curves.values()), n_ticks=4)
+        time_axis(panel, max(of.n_decisions for of in curves.values()), n_ticks=N_TICKS)
         panel.set_title(name, fontsize=8, fontweight="bold")
     return figure, dict(zip(names, axes, strict=True))
 
