@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
@@ -27,7 +28,7 @@ def looks_of(figure: Figure) -> list[Look]:
             looks[_look(line)] = None
         for lines in axes.collections:
             if isinstance(lines, LineCollection):
-                colours = [tuple(colour) for colour in lines.get_colors()]
+                colours = [to_hex(colour) for colour in to_rgba_array(lines.get_colors())]
                 dashes = [_dashes(of) for of in lines.get_linestyle()]
                 n = max(len(colours), len(dashes))
                 pairs = zip((colours * n)[:n], (dashes * n)[:n], strict=True)
@@ -49,7 +50,7 @@ def overlapping(figure: Figure) -> list[tuple[str, str]]:
     """Return the pairs of texts that overlap in a figure as it is drawn."""
     FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]
     texts = list(_texts(figure))
-    boxes = [text.get_window_extent().padded(-0.5) for text in texts]  # type: ignore[no-untyped-call]
+    boxes = [text.get_window_extent().padded(-0.5) for text in texts]
     return [
         (texts[i].get_text(), texts[j].get_text())
         for i, j in combinations(range(len(texts)), 2)
@@ -60,7 +61,7 @@ def overlapping(figure: Figure) -> list[tuple[str, str]]:
 def cut_off(figure: Figure) -> list[str]:
     """Return the texts that are not wholly on a figure as it is drawn."""
     FigureCanvasAgg(figure).draw()  # type: ignore[no-untyped-call]
-    page = figure.bbox.padded(1)  # type: ignore[no-untyped-call]
+    page = figure.bbox.padded(1)
     return [
         text.get_text()
         for text in _texts(figure)
@@ -78,7 +79,7 @@ def _texts(figure: Figure) -> Iterator[Text]:
             for axis in (axes.xaxis, axes.yaxis):
                 if axis.get_visible():
                     found.append(axis.label)
-                    ticks = axis._update_ticks()  # type: ignore[attr-defined]
+                    ticks = cast(Any, axis)._update_ticks()
                     found += [tick.label1 for tick in ticks if tick.label1.get_visible()]
     return (text for text in dict.fromkeys(found) if text.get_visible() and text.get_text().strip())
 

@@ -1,5 +1,8 @@
 """Styles: lines that can be told apart in grey, names that do not overlap."""
 
+from collections.abc import Callable
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,18 +15,20 @@ from torch_iac.analysis.style import legend, line_style, name_lines, plain_error
 
 GAP = 0.1
 
+StyleOf = Callable[[int], dict[str, Any]]
 
-def lines(n_lines: int, style_of: object = line_style, names: str = "line {}") -> Figure:
+
+def lines(n_lines: int, style_of: StyleOf = line_style, names: str = "line {}") -> Figure:
     figure = Figure(figsize=style.SIZE, layout="constrained")
     axes = figure.subplots()
     for place in range(n_lines):
-        axes.plot([0, 1], [0, 0.02 * place], label=names.format(place), **style_of(place))  # type: ignore[operator]
+        axes.plot([0, 1], [0, 0.02 * place], label=names.format(place), **style_of(place))
     axes.set_ylim(0, 1)
     return figure
 
 
 @pytest.mark.parametrize(("style_of", "n_lines"), [(line_style, 8), (zone_style, 6)])
-def test_lines_can_be_told_apart_in_grey(style_of: object, n_lines: int) -> None:
+def test_lines_can_be_told_apart_in_grey(style_of: StyleOf, n_lines: int) -> None:
     looks = looks_of(lines(n_lines, style_of))
     assert len(looks) == n_lines
     assert alike_in_grey(looks) == []
@@ -54,10 +59,10 @@ def test_overlapping_names_are_found() -> None:
 
 
 def test_a_long_name_or_a_line_without_an_end_has_a_legend() -> None:
-    for figure in (lines(2, names="a name that is long, number {}"), lines(2)):
-        axes = figure.axes[0]
-        if not axes.lines[0].get_label().startswith("a name"):  # type: ignore[union-attr]
-            axes.plot([], [], label="nothing", **line_style(2))
+    long, unfinished = lines(2, names="a name that is long, number {}"), lines(2)
+    unfinished.axes[0].plot([], [], label="nothing", **line_style(2))
+    for figure in (long, unfinished):
+        (axes,) = figure.axes
         name_lines(figure, axes)
         assert not axes.texts
         assert len(figure.legends[0].get_texts()) == len(axes.lines)
@@ -78,7 +83,12 @@ def test_moved_apart(heights: list[float]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "written"), [((0.004, 0.3), {"0.01", "0.1"}), ((0.02, 0.05), {"0.02", "0.03"})]
+    ("limits", "written"),
+    [
+        ((0.004, 0.3), {"0.01", "0.1"}),
+        ((0.018, 0.24), {"0.02", "0.05", "0.1", "0.2"}),
+        ((0.02, 0.05), {"0.02", "0.03"}),
+    ],
 )
 def test_errors_are_written_plainly(limits: tuple[float, float], written: set[str]) -> None:
     figure = Figure()
@@ -87,8 +97,9 @@ def test_errors_are_written_plainly(limits: tuple[float, float], written: set[st
     axes.set_ylim(limits)
     plain_errors(axes.yaxis)
     figure.draw_without_rendering()
-    ticks = axes.yaxis._update_ticks()  # type: ignore[attr-defined]
+    ticks = cast(Any, axes.yaxis)._update_ticks()
     assert written <= {tick.label1.get_text() for tick in ticks}
+    assert overlapping(figure) == []
     assert not any("10^" in tick.label1.get_text() for tick in ticks)
 
 

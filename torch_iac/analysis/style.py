@@ -92,11 +92,16 @@ def time_axis(axes: Axes, n_decisions: int, n_ticks: int = 5) -> None:
 
 
 def plain_errors(axis: Axis) -> None:
-    """Write the errors along a logarithmic axis as 0.01; those between powers of ten if needed."""
+    """Write the errors along a logarithmic axis plainly, as 0.01.
+
+    On an axis of few powers of ten also twice and five times these, on a short one all.
+    """
 
     def between(error: float, _: float) -> str:
         low, high = axis.get_view_interval()
-        return f"{error:g}" if high < 10 * low else ""
+        written = f"{error:g}"
+        is_shown = high < 3 * low or (high < 30 * low and written[-1] in "25")
+        return written if is_shown else ""
 
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(between)
