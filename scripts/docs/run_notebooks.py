@@ -16,9 +16,6 @@ from nbformat import NotebookNode
 
 FOLDER = Path(__file__).parents[2] / "notebooks"
 
-WIDGET = "application/vnd.jupyter.widget-view+json"
-"""What an output says that only shows in a running notebook."""
-
 MOST_SECONDS = 3600
 """A cell that takes longer is stopped."""
 
@@ -63,15 +60,8 @@ def execute(path: Path) -> NotebookNode:
 
 
 def tidy(notebook: NotebookNode) -> None:
-    """Leave out what differs from run to run, and what shows in a running notebook only."""
+    """Leave out what differs from machine to machine."""
     notebook.metadata = {"kernelspec": notebook.metadata["kernelspec"]}
-    for cell in notebook.cells:
-        if cell.cell_type == "code":
-            cell.outputs = [output for output in cell.outputs if _is_kept(output)]
-
-
-def _is_kept(output: NotebookNode) -> bool:
-    return WIDGET not in output.get("data", {})
 
 
 if __name__ == "__main__":

@@ -34,14 +34,14 @@ from torch_iac import HybridExperts, MLPExperts, load_agent
 from torch_iac.analysis.bootstrap import difference, mean
 from torch_iac.analysis.generalisation import F2
 from torch_iac.analysis.style import (
-    COLOURS,
-    LINES,
     STYLE,
     band_style,
     legend,
+    name_lines,
     save,
     time_axis,
     zone_colour,
+    zone_style,
 )
 from torch_iac.experiment import experiment_of
 from torch_iac.runs.reader import Run
@@ -204,16 +204,15 @@ def draw_network_shares(runs: Sequence[Run]) -> Figure:
         figure = Figure(figsize=(4.2, 2.7), layout="constrained")
         panel = figure.subplots()
         steps = (np.arange(shares.shape[1]) + 1) * WINDOW
-        for zone, (name, line) in enumerate(zip(runs[0].zone_names, LINES, strict=False)):
+        for zone, name in enumerate(runs[0].zone_names):
             found = [mean(of[np.isfinite(of)]) for of in shares[:, :, zone].T]
             means, low, high = np.array([(of.value, of.low, of.high) for of in found]).T
-            colour = zone_colour(zone)
-            panel.plot(steps, means, line, color=colour, label=name, linewidth=1.2)
-            panel.fill_between(steps, low, high, **band_style(colour))
-        panel.axhline(0.5, color="0.8", linewidth=0.8, zorder=0)
+            panel.plot(steps, means, label=name, linewidth=1.2, **zone_style(zone))
+            panel.fill_between(steps, low, high, **band_style(zone_colour(zone)))
         panel.set(ylabel="Share of decisions with the network", ylim=(0, 1))
         time_axis(panel, int(steps[-1]))
-        legend(figure, panel.get_legend_handles_labels()[0])
+        name_lines(figure, panel)
+        panel.axhline(0.5, color="0.8", linewidth=0.8, zorder=0)
     return figure
 
 
@@ -222,8 +221,7 @@ def draw(runs: Mapping[str, Sequence[Run]]) -> Figure:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 2.7), layout="constrained")
         panels = figure.subplots(1, len(SETS), sharey=True)
-        of_colours = zip(COLOURS, runs.items(), strict=False)
-        curves = {LABELS[name]: (colour, of) for colour, (name, of) in of_colours}
+        curves = {LABELS[name]: (place, of) for place, (name, of) in enumerate(runs.items())}
         for panel, (which, title) in zip(panels, SETS.items(), strict=True):
             draw_curves(panel, curves, which)
             panel.set_title(title, fontsize=8)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from torch_iac import Drive, Experiment, IACConfig, Progress, Random
 from torch_iac.analysis.bootstrap import band
-from torch_iac.analysis.style import LINES, STYLE, ZONE_COLOURS, legend, time_axis
+from torch_iac.analysis.style import STYLE, band_style, legend, time_axis, zone_style
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
@@ -252,9 +252,9 @@ def draw_shares(panel: Axes, subject: Subject, run: Run) -> None:
     of_parts = shares(subject, run, N_POINTS)
     middles = (np.arange(N_POINTS) + 0.5) * run.n_decisions / N_POINTS
     for place, kind in enumerate(subject.kinds):
-        colour, robots, line = ZONE_COLOURS[place], of_parts[:, :, place], LINES[place]
-        panel.plot(middles, robots.mean(axis=1), line, color=colour, label=kind)
-        panel.fill_between(middles, *band(robots), color=colour, alpha=0.25, linewidth=0)
+        robots, style = of_parts[:, :, place], zone_style(place)
+        panel.plot(middles, robots.mean(axis=1), label=kind, **style)
+        panel.fill_between(middles, *band(robots), **band_style(style["color"]))
 
 
 if __name__ == "__main__":

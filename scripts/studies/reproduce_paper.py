@@ -10,7 +10,6 @@ and draws the generalisation tests. Runs that are in the folder already are not 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -37,7 +36,7 @@ from scripts.studies.claims import (
 )
 from torch_iac.analysis.bootstrap import band, mean
 from torch_iac.analysis.generalisation import F2, sets_aside, tests_of
-from torch_iac.analysis.style import COLOURS, LINES, STYLE, legend, save, time_axis
+from torch_iac.analysis.style import STYLE, band_style, legend, line_style, save, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 
@@ -242,8 +241,8 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
         kinds = {"knn": "nearest neighbours", "mlp": "networks"}
         for row, (kind, robots) in zip(panels, groups.items(), strict=True):
             curves = {
-                label: (colour, robots[name])
-                for colour, (name, label) in zip(COLOURS, LABELS.items(), strict=False)
+                label: (place, robots[name])
+                for place, (name, label) in enumerate(LABELS.items())
                 if name in robots
             }
             for panel, (which, title) in zip(row, SETS.items(), strict=True):
@@ -256,13 +255,13 @@ def draw_tests(groups: Mapping[str, Group]) -> Figure:
     return figure
 
 
-def draw_curves(panel: Axes, curves: Mapping[str, tuple[str, Sequence[Run]]], which: str) -> None:
-    """Draw how errors go on a test set: under each label, in a colour, of some runs."""
-    lines = cycle(LINES)  # so that they can be told apart in grey
-    for (label, (colour, runs)), line in zip(curves.items(), lines, strict=False):
+def draw_curves(panel: Axes, curves: Mapping[str, tuple[int, Sequence[Run]]], which: str) -> None:
+    """Draw how errors go on a test set: under each label, in the style of a place, of some runs."""
+    for label, (place, runs) in curves.items():
         steps, errors = tests_of(runs, which, "absolute")
-        panel.plot(steps, errors.mean(axis=1), line, color=colour, label=label, linewidth=1.2)
-        panel.fill_between(steps, *band(errors), color=colour, alpha=0.2, linewidth=0)
+        style = line_style(place)
+        panel.plot(steps, errors.mean(axis=1), label=label, linewidth=1.2, **style)
+        panel.fill_between(steps, *band(errors), **band_style(style["color"]))
     time_axis(panel, int(steps[-1]), n_ticks=4)
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))

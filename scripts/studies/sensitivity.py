@@ -22,7 +22,7 @@ from scripts.studies.claims import F1, in_order, in_words, share, time_in
 from torch_iac import Experiment, IACConfig, KNNExperts
 from torch_iac.analysis.bootstrap import Estimate, mean
 from torch_iac.analysis.generalisation import F2
-from torch_iac.analysis.style import COLOURS, STYLE, legend, save
+from torch_iac.analysis.style import STYLE, band_style, legend, line_style, save
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
 from torch_iac.runs.summary import SETTLING
@@ -156,12 +156,11 @@ def draw(found: Mapping[tuple[str, float], Mapping[str, Estimate]]) -> Figure:
 def _draw_panel(panel: Axes, parameter: Parameter, found: Sequence[Mapping[str, Estimate]]) -> None:
     """Draw the measures over a parameter's values, which stand at equal distances."""
     places = range(len(parameter.values))
-    for colour, title in zip(COLOURS[1:], MEASURES, strict=False):
+    for place, title in enumerate(MEASURES, 1):
         of = [measures[title] for measures in found]
-        panel.plot(places, [e.value for e in of], "o-", color=colour, label=title, markersize=3)
-        panel.fill_between(
-            places, [e.low for e in of], [e.high for e in of], color=colour, alpha=0.2, linewidth=0
-        )
+        style, (low, high) = line_style(place), ([e.low for e in of], [e.high for e in of])
+        panel.plot(places, [e.value for e in of], marker="o", label=title, markersize=3, **style)
+        panel.fill_between(places, low, high, **band_style(style["color"]))
     panel.axvline(parameter.values.index(parameter.default), color="#999999", linewidth=0.8)
     panel.set_xticks(places, [f"{value:g}" for value in parameter.values])
     panel.set_title(parameter.title, fontsize=8)

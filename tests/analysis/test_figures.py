@@ -4,22 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_hex, to_rgba_array
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
+from tests.pictures import alike_in_grey, cut_off, looks_of, overlapping
 from tests.synthetic_run import write_run
-from torch_iac.analysis import figures, style
+from torch_iac.analysis import figures
 from torch_iac.analysis.figures import (
     draw_calibration,
     draw_errors,
-    draw_experts,
     draw_zones,
     save_figures,
 )
-from torch_iac.analysis.region_history import error_curves, region_zones
-from torch_iac.analysis.style import EXPERT_COLOURS, ZONE_COLOURS
+from torch_iac.analysis.style import COLOURS, ZONE_COLOURS
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.statistics import calibration, known_mean, zone_errors, zone_shares
 
@@ -41,51 +38,16 @@ def labels(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-def colours_of(lines: LineCollection) -> list[str]:
-    return [to_hex(colour).upper() for colour in to_rgba_array(lines.get_colors())]
-
-
-def test_the_tree_has_a_curve_for_each_expert_in_the_colour_of_its_zone(run: Run) -> None:
-    figure = draw_experts(run, agent=1)
-    (lines,) = figure.axes[0].collections
-    assert isinstance(lines, LineCollection)
-    curves, cover = error_curves(run, 1), region_zones(run, 1)
-    assert len(lines.get_segments()) == len(curves)
-    assert labels(figure) == ["f1", "f2", "f3", "several zones"]
-    for curve, segment, colour in zip(curves, lines.get_segments(), colours_of(lines), strict=True):
-        assert_allclose(segment[-1], [curve.decisions[-1], curve.mean_errors[-1]])
-        if cover.purity[curve.region] == 1.0:
-            assert colour == ZONE_COLOURS[cover.zone[curve.region]]
-
-
-def test_the_root_hears_every_zone_and_has_the_colour_of_none(run: Run) -> None:
-    (lines,) = draw_experts(run).axes[0].collections
-    assert isinstance(lines, LineCollection)
-    assert colours_of(lines)[0] == style.MIXED_COLOUR
-
-
-def test_the_figure_says_over_how_many_errors_the_run_took_its_means(tmp_path: Path) -> None:
-    folder = write_run(tmp_path, n_decisions=30, numbers={"window": 26})
-    figure = draw_experts(load_run(folder))
-    assert figure.axes[0].get_ylabel() == "Mean of last 26 errors (scaled)"
-
-
-def test_without_zones_experts_are_coloured_by_depth(tmp_path: Path) -> None:
-    figure = draw_experts(load_run(write_run(tmp_path, n_decisions=700, zone_names=None)))
-    assert labels(figure)[:2] == ["depth 0", "depth 1"]
-
-
-def test_long_curves_are_thinned_out(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figures, "MAX_POINTS", 10)
-    (lines,) = draw_experts(run).axes[0].collections
-    assert isinstance(lines, LineCollection)
-    assert max(len(segment) for segment in lines.get_segments()) == 10
+def names(figure: Figure) -> list[str]:
+    """Return the names at the ends of the last panel's lines."""
+    return [text.get_text() for text in figure.axes[-1].texts]
 
 
 def test_shares_are_drawn_as_means_over_agents(run: Run) -> None:
     figure = draw_zones(run, window=100)
     lines = figure.axes[0].lines
-    assert labels(figure) == ["f1", "f2", "f3", "95 % bootstrap CI\nof the mean, 4 agents"]
+    assert names(figure) == ["f1", "f2", "f3"]
+    assert labels(figure) == ["95 % bootstrap CI of the mean, 4 agents"]
     for zone, line in enumerate(lines):
         assert_allclose(np.asarray(line.get_xdata()), np.arange(13) * 100 + 50)
         assert_allclose(
@@ -105,16 +67,17 @@ def test_the_band_is_the_bootstrap_interval_of_the_mean() -> None:
     assert_allclose(low, high)
 
 
-def test_one_agent_has_no_band_in_its_legend(tmp_path: Path) -> None:
+def test_one_agent_has_no_band_and_no_legend(tmp_path: Path) -> None:
     figure = draw_zones(load_run(write_run(tmp_path, n_decisions=30)))
-    assert labels(figure) == ["f1", "f2", "f3"]
+    assert names(figure) == ["f1", "f2", "f3"]
+    assert not figure.legends
     middles = np.asarray(figure.axes[0].lines[0].get_xdata())
     assert middles.tolist() == [15.0]  # the run is its only window
 
 
 def test_errors_of_experts_and_shadows_are_drawn_zone_by_zone(compared_run: Run) -> None:
     figure = draw_errors(compared_run, window=100)
-    assert labels(figure) == ["main experts", "knn", "mlp"]
+    assert names(figure) == ["main experts", "knn", "mlp"]
     assert [axes.get_title() for axes in figure.axes] == ["f1", "f2", "f3"]
     for zone, axes in enumerate(figure.axes):
         main, knn, mlp = (np.asarray(line.get_ydata()) for line in axes.lines)
@@ -122,7 +85,7 @@ def test_errors_of_experts_and_shadows_are_drawn_zone_by_zone(compared_run: Run)
         assert_allclose(main, expected)
         assert_allclose(knn, 2 * main)
         assert_allclose(mlp, main / 2)
-        assert [line.get_color() for line in axes.lines] == list(EXPERT_COLOURS[:3])
+        assert [line.get_color() for line in axes.lines] == list(COLOURS[:3])
         assert_allclose(np.asarray(axes.lines[0].get_xdata()), np.arange(7) * 100 + 50)
 
 
@@ -155,13 +118,13 @@ def test_calibration_is_drawn_by_decile_and_by_zone(compared_run: Run) -> None:
 
 
 def test_figures_are_saved_as_there_is_something_to_show(compared_run: Run) -> None:
-    names = [path.name for path in save_figures(compared_run.folder)]
-    assert names == ["experts.png", "zones.png", "errors.png", "calibration.png"]
+    saved = [path.stem for path in save_figures(compared_run.folder)]
+    assert saved == ["experts", "tree", "zones", "errors", "calibration"]
 
 
 def test_a_run_of_one_decision_can_be_drawn(tmp_path: Path) -> None:
     folder = write_run(tmp_path, n_decisions=1, shadows={"knn": 2.0}, meta=True)
-    assert len(save_figures(folder)) == 4
+    assert len(save_figures(folder)) == 5
 
 
 def test_figures_are_saved_beside_the_run(run: Run) -> None:
@@ -169,6 +132,8 @@ def test_figures_are_saved_beside_the_run(run: Run) -> None:
     assert [path.name for path in paths] == [
         "experts.png",
         "experts.pdf",
+        "tree.png",
+        "tree.pdf",
         "zones.png",
         "zones.pdf",
     ]
@@ -176,8 +141,17 @@ def test_figures_are_saved_beside_the_run(run: Run) -> None:
     assert {path.parent for path in paths} == {run.folder / "figures"}
 
 
-def test_a_world_without_zones_has_figure_2_only(tmp_path: Path) -> None:
+def test_a_world_without_zones_has_trees_only(tmp_path: Path) -> None:
     folder = write_run(tmp_path, n_decisions=10, zone_names=None)
-    assert [path.name for path in save_figures(folder)] == ["experts.png"]
+    assert [path.name for path in save_figures(folder)] == ["experts.png", "tree.png"]
     with pytest.raises(ValueError, match="has no zones"):
         draw_zones(load_run(folder))
+
+
+def test_figures_can_be_read(run: Run, compared_run: Run) -> None:
+    for figure in (draw_zones(run), draw_errors(compared_run), draw_calibration(compared_run)):
+        assert overlapping(figure) == []
+        assert cut_off(figure) == []
+        looks = looks_of(figure)
+        assert len(looks) >= 3
+        assert alike_in_grey(looks) == []

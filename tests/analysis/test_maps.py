@@ -4,16 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.testing import assert_allclose
 
+from tests.pictures import cut_off, overlapping
 from tests.synthetic_run import ZONES, write_run
-from torch_iac.analysis.maps import MOST_LABELS, draw_partition, draw_tree
+from torch_iac.analysis.maps import draw_partition
 from torch_iac.analysis.partition import partition_of, situation_at
-from torch_iac.analysis.style import MIXED_COLOUR, ZONE_COLOURS
+from torch_iac.analysis.style import MIXED_COLOUR, ZONE_COLOURS, ZONE_MARKERS
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.schema import WINDOW
 
@@ -63,6 +63,7 @@ def test_a_panel_shows_the_decision_and_those_before_it_by_zone(run: Run) -> Non
     zones = run.column("zone")[step - WINDOW : step, 1]
     assert [len(points(of)) for of in dots] == np.bincount(zones, minlength=3).tolist()
     assert [of.get_color() for of in dots] == list(ZONE_COLOURS[:3])
+    assert [of.get_marker() for of in dots] == list(ZONE_MARKERS[:3])
     assert sorted(np.concatenate([points(of)[:, 0] for of in dots])) == sorted(
         run.column("action/sound")[step - WINDOW : step, 1]
     )
@@ -82,34 +83,10 @@ def test_panels_stand_in_rows_of_three(run: Run) -> None:
     assert titles == ["decision 0", "decision 300", "decision 600", "decision 900", ""]
 
 
-def test_the_tree_has_a_line_for_each_region_from_birth_to_split(run: Run) -> None:
-    axes, family = draw_tree(run).axes[0], run.family().to_pylist()
-    (lines,) = axes.collections
-    assert isinstance(lines, LineCollection)
-    segments = np.array(lines.get_segments())
-    ends = [row["split_step"] if row["split_step"] >= 0 else 1300 for row in family]
-    assert segments[:, 0, 0].tolist() == [row["born_step"] for row in family]
-    assert segments[:, 1, 0].tolist() == ends
-    heights = segments[:, 0, 1]
-    leaves = sorted(heights[i] for i, row in enumerate(family) if row["split_step"] < 0)
-    assert leaves == list(range(len(leaves)))
-
-
-def test_below_in_the_tree_is_below_the_cut(run: Run) -> None:
-    """The first cut is at 2/3 of the sound: what comes of the child above it is drawn higher."""
-    family = run.family().to_pylist()
-    (lines,) = draw_tree(run).axes[0].collections
-    heights = np.array(lines.get_segments())[:, 0, 1]  # type: ignore[attr-defined]
-    root, below, above = heights[:3]
-    assert below < root < above
-    assert root == (below + above) / 2
-    assert [row["parent"] for row in family[:3]] == [-1, 0, 0]
-
-
-def test_the_tree_names_its_first_cuts(run: Run) -> None:
-    texts = [text.get_text() for text in draw_tree(run).axes[0].texts]
-    assert texts[0] == "sound at 0.67"
-    assert len(texts) == MOST_LABELS
+def test_a_map_can_be_read(run: Run) -> None:
+    figure = draw_partition(run, [0, 300, 600, 900], *PLANE)
+    assert overlapping(figure) == []
+    assert cut_off(figure) == []
 
 
 def test_without_zones_there_are_maps_too(tmp_path: Path) -> None:
@@ -117,7 +94,6 @@ def test_without_zones_there_are_maps_too(tmp_path: Path) -> None:
     dots = draw_partition(run, [500], *PLANE).axes[0].lines[0]
     assert dots.get_color() == MIXED_COLOUR
     assert len(points(dots)) == WINDOW
-    assert draw_tree(run).legends
 
 
 def test_a_plane_of_what_is_not_there_is_refused(run: Run) -> None:

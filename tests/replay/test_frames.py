@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from tests.pictures import alike_in_grey, looks_of, overlapping
 from tests.synthetic_run import write_run
 from torch_iac.analysis.region_history import region_bounds
 from torch_iac.analysis.style import ZONE_COLOURS
@@ -118,3 +119,17 @@ def test_a_world_without_zones_has_sheets(tmp_path: Path, monkeypatch: pytest.Mo
     said = words(sheet_of(run, 2, monkeypatch))
     assert "Region 0, the root" in said
     assert "Share of time" not in said
+
+
+def test_the_lines_of_zones_can_be_told_apart_and_have_their_names(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figure = sheet_of(run, 1250, monkeypatch)
+    time = figure.axes[-1]
+    assert [text.get_text() for text in time.texts] == list(run.zone_names)
+    assert overlapping(figure) == []
+    for axes in figure.axes[:-1]:
+        axes.remove()
+    zones = [look for look in looks_of(figure) if look[0] in ZONE_COLOURS]
+    assert len(zones) == len(run.zone_names)
+    assert alike_in_grey(zones) == []

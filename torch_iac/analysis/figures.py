@@ -1,7 +1,4 @@
-"""Figures 2 and 3 of the 2004 paper, errors and expectations, drawn from any run folder.
-
-Colours are Okabe and Ito's, which colour-blind readers tell apart.
-"""
+"""The figures of any run folder: figure 3 of the 2004 paper, errors and expectations."""
 
 from pathlib import Path
 from typing import Any
@@ -9,39 +6,35 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from torch_iac.analysis.region_history import ErrorCurve, error_curves, region_zones
+from torch_iac.analysis.family_tree import draw_experts, draw_tree
 from torch_iac.analysis.style import (
+    DPI,
     MIXED_COLOUR,
     SIZE,
     STYLE,
     WIDE,
     band_style,
-    expert_colour,
     legend,
-    legend_line,
+    line_style,
+    name_lines,
+    plain_errors,
     time_axis,
     zone_colour,
+    zone_marker,
+    zone_style,
 )
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.schema import MAIN, WINDOW
 from torch_iac.runs.statistics import Calibration, calibration, known_mean, zone_errors, zone_shares
 
-LEAST_PURITY = 2 / 3
-"""A region has the colour of a zone if so many of its decisions were in it."""
-
 DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
 """Style of the curve of deciles."""
-
-MAX_POINTS = 400
-"""A curve is drawn with at most so many points."""
 
 N_RESAMPLES = 1000
 """Number of bootstrap resamples."""
@@ -50,7 +43,8 @@ N_RESAMPLES = 1000
 def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
     """Draw the figures of a run into its folder, under `figures/`, and return where they are.
 
-    `experts.png` is figure 2, of agent 0; `zones.png` is figure 3, for worlds that have zones;
+    `experts.png` is figure 2, of agent 0, and `tree.png` shows where its regions are cut;
+    `zones.png` is figure 3, for worlds that have zones;
     `errors.png` compares the experts with their shadows, if there are any; `calibration.png` shows
     whether errors are what MP expected, if there is one.
 
@@ -62,7 +56,7 @@ def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
         FileNotFoundError: The folder holds no run, or no decisions yet.
     """
     run = load_run(folder)
-    figures = {"experts": draw_experts(run)}
+    figures = {"experts": draw_experts(run), "tree": draw_tree(run)}
     if run.zone_names:
         figures["zones"] = draw_zones(run)
     if run.shadow_names:
@@ -76,47 +70,8 @@ def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
         for kind in ("png", "pdf") if pdf else ("png",):
             paths.append(target / f"{name}.{kind}")
             with mpl.rc_context(STYLE):
-                figure.savefig(paths[-1], dpi=220)
+                figure.savefig(paths[-1], dpi=DPI)
     return paths
-
-
-def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
-    """Return figure 2: the tree of an agent's experts, by the mean error of each over time.
-
-    A curve is the mean of the last `window` errors of a region, each error being the mean absolute
-    difference (or as the run's config says) between prediction and outcome, in scaled units. It
-    lasts from the region's birth to its split, where the curves of its two children begin (if they
-    inherit its errors). Its colour is the zone that it mostly covers, or its depth in a world
-    without zones.
-
-    Args:
-        run: The run.
-        agent: Whose experts.
-        window: How many errors the mean is over; the run's own `error_window` if none is given.
-
-    Raises:
-        ValueError: There is no such agent, or its steps are not recorded.
-
-    Source: Oudeyer and Kaplan (2004), figure 2.
-    """
-    window = run.error_window if window is None else window
-    curves = error_curves(run, agent, window)
-    with mpl.rc_context(STYLE):
-        figure, axes = _axes(run.n_decisions)
-        colours, key = region_colours(run, agent)
-        axes.add_collection(
-            LineCollection(
-                [_points(curve) for curve in curves],
-                colors=[colours[curve.region] for curve in curves],
-                linewidths=0.9 if len(curves) < 60 else 0.6,
-                capstyle="round",
-            )
-        )
-        axes.autoscale_view(scalex=False)
-        axes.set_ylim(bottom=0)
-        axes.set_ylabel(f"Mean of last {window} errors (scaled)")
-        legend(figure, [legend_line(colour, name) for name, colour in key.items()])
-    return figure
 
 
 def draw_zones(run: Run, window: int = WINDOW) -> Figure:
@@ -142,20 +97,17 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     low, high = _confidence(shares)
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)
-        for zone in range(len(run.zone_names)):
-            colour, mean = zone_colour(zone), shares[:, :, zone].mean(axis=1)
-            axes.plot(middles, mean, color=colour, linewidth=1.2)
-            axes.fill_between(middles, low[:, zone], high[:, zone], **band_style(colour))
+        means = shares.mean(axis=1)
+        for zone, name in enumerate(run.zone_names):
+            axes.plot(middles, means[:, zone], linewidth=1.2, label=name, **zone_style(zone))
+            axes.fill_between(middles, low[:, zone], high[:, zone], **band_style(zone_colour(zone)))
         axes.set_ylim(0, 1)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.set_ylabel(f"Share of time in {window} decisions")
-        key: list[Line2D | Patch] = [
-            legend_line(zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
-        ]
+        name_lines(figure, axes)
         if run.n_agents > 1:
-            label = f"95 % bootstrap CI\nof the mean, {run.n_agents:,} agents"
-            key.append(Patch(label=label, **band_style(MIXED_COLOUR)))
-        legend(figure, key)
+            label = f"95 % bootstrap CI of the mean, {run.n_agents:,} agents"
+            legend(figure, [Patch(label=label, **band_style(MIXED_COLOUR))])
     return figure
 
 
@@ -178,19 +130,20 @@ def draw_errors(run: Run, window: int = WINDOW) -> Figure:
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel in panels:
             time_axis(panel, run.n_decisions)
-        for place, column in enumerate(run.error_columns.values()):
+        for place, (name, column) in enumerate(run.error_columns.items()):
+            label = "main experts" if name == MAIN else name
             errors = zone_errors(run, column, window)  # (W, A, Z)
             middles = (np.arange(len(errors)) + 0.5) * window
             for zone, panel in enumerate(panels):
                 means = known_mean(errors[:, :, zone], axis=1)
-                panel.plot(middles, means, color=expert_colour(place), linewidth=1.2)
+                panel.plot(middles, means, linewidth=1.2, label=label, **line_style(place))
             if (errors > 0).any():
                 panels[0].set_yscale("log")  # and with it the others
+                plain_errors(panels[0].yaxis)
         for zone, name in enumerate(run.zone_names):
             panels[zone].set_title(name, color=zone_colour(zone), fontsize=8, fontweight="bold")
         panels[0].set_ylabel(f"Mean error in {window} decisions (scaled)")
-        key = ["main experts" if name == MAIN else name for name in run.error_columns]
-        legend(figure, [legend_line(expert_colour(place), name) for place, name in enumerate(key)])
+        name_lines(figure, panels[-1])
     return figure
 
 
@@ -209,17 +162,20 @@ def draw_calibration(run: Run) -> Figure:
         axes = figure.subplots()
         axes.set_xscale("log")
         axes.set_yscale("log")
+        plain_errors(axes.xaxis)
+        plain_errors(axes.yaxis)
         axes.set_aspect("equal")
         axes.axline((0.01, 0.01), (0.1, 0.1), color=MIXED_COLOUR, linewidth=0.8, zorder=0)
         axes.plot(found.expected, found.actual, **DECILES)
         for zone, (name, of) in enumerate(found.zones.items()):
-            axes.plot(of.expected, of.actual, "D", color=zone_colour(zone), markersize=5)
+            colour = zone_colour(zone)
+            axes.plot(of.expected, of.actual, zone_marker(zone), color=colour, markersize=5)
             axes.annotate(
                 name,
                 (of.expected, of.actual),
                 (6, -7),
                 textcoords="offset points",
-                color=zone_colour(zone),
+                color=colour,
                 fontweight="bold",
                 fontsize=7,
             )
@@ -255,43 +211,6 @@ def _axes(n_decisions: int) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     time_axis(axes, n_decisions)
     return figure, axes
-
-
-def region_colours(run: Run, agent: int = 0) -> tuple[list[str], dict[str, str]]:
-    """Return the colour of each region, and what colours mean.
-
-    It is that of the zone which the region mostly covers, or of its depth in a world without zones.
-
-    Raises:
-        ValueError: There is no such agent, or, in a world with zones, its steps are not recorded.
-    """
-    return _zone_colours(run, agent) if run.zone_names else _depth_colours(run, agent)
-
-
-def _zone_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:
-    cover = region_zones(run, agent)
-    colours = [
-        zone_colour(zone) if purity >= LEAST_PURITY else MIXED_COLOUR
-        for zone, purity in zip(cover.zone.tolist(), cover.purity.tolist(), strict=True)
-    ]
-    key = {name: zone_colour(zone) for zone, name in enumerate(run.zone_names)}
-    return colours, {**key, "several zones": MIXED_COLOUR}
-
-
-def _depth_colours(run: Run, agent: int) -> tuple[list[str], dict[str, str]]:
-    """Return the colour of each region by its depth in the tree, and what colours mean."""
-    depths = run.family(agent)["depth"].to_numpy()
-    deepest = max(1, int(depths.max()))
-    shade = [to_hex(mpl.colormaps["viridis"](0.9 * d / deepest)) for d in range(deepest + 1)]
-    shown = sorted({0, deepest // 2, deepest})
-    return [shade[depth] for depth in depths], {f"depth {d}": shade[d] for d in shown}
-
-
-def _points(curve: ErrorCurve) -> NDArray[np.float64]:
-    """Return the points of a curve, shape `(P, 2)`, thinned out if there are too many."""
-    n_points = len(curve.decisions)
-    kept = np.unique(np.linspace(0, n_points - 1, min(n_points, MAX_POINTS)).round().astype(int))
-    return np.stack([curve.decisions[kept], curve.mean_errors[kept]], axis=1)
 
 
 def _confidence(shares: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

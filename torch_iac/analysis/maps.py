@@ -1,4 +1,4 @@
-"""Maps of a robot's regions: slices through the space, and the tree."""
+"""Maps of a robot's regions: slices through the space."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,23 +7,27 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from torch_iac.analysis.figures import region_colours
 from torch_iac.analysis.partition import Partition, partition_of, situation_at
-from torch_iac.analysis.style import MIXED_COLOUR, STYLE, WIDE, legend, time_axis, zone_colour
+from torch_iac.analysis.style import (
+    STYLE,
+    WIDE,
+    legend,
+    zone_colour,
+    zone_marker,
+)
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
 
 SHADES = LinearSegmentedColormap.from_list("progress", ["#ffffff", "#8c8c8c"])
-"""White for no progress; dots in the colours of zones stand out from every shade."""
+"""White for no progress; marks in the colours of zones stand out from every shade."""
 
 STAR: dict[str, Any] = {"color": "black", "marker": "*", "markersize": 8, "linestyle": "none"}
-DOT: dict[str, Any] = {"marker": ".", "markersize": 3, "linestyle": "none"}
+DOT: dict[str, Any] = {"markersize": 2, "markeredgewidth": 0, "linestyle": "none"}
 """Marker styles of the decision itself and of those before it."""
 
 PANELS_A_ROW = 3
@@ -31,9 +35,6 @@ PANELS_A_ROW = 3
 
 PANEL = 2.3
 """Inches: the height of a row of panels."""
-
-MOST_LABELS = 5
-"""The tree has labels for the first cuts, this many."""
 
 
 def draw_partition(
@@ -46,9 +47,9 @@ def draw_partition(
 ) -> Figure:
     """Return how a plane of the space was divided when some decisions were chosen, one a panel.
 
-    The darker a region, the more progress the robot made there. A star is the decision itself, dots
-    are the `WINDOW` decisions before it in the colours of their zones, wherever they were in the
-    other dimensions.
+    The darker a region, the more progress the robot made there. A star is the decision itself,
+    small marks are the `WINDOW` decisions before it by their zones, wherever they were in the other
+    dimensions.
 
     Args:
         run: The run.
@@ -76,42 +77,8 @@ def draw_partition(
         figure.colorbar(
             shades, ax=panels, label="Learning progress (scaled)", aspect=30, extend="min"
         )
-        dots = {name: zone_colour(zone) for zone, name in enumerate(run.zone_names)}
-        key = [Line2D([], [], color=colour, label=name, **DOT) for name, colour in dots.items()]
+        key = [Line2D([], [], label=name, **_dot(zone)) for zone, name in enumerate(run.zone_names)]
         legend(figure, [*key, Line2D([], [], label="the decision", **STAR)])
-    return figure
-
-
-def draw_tree(run: Run, agent: int = 0) -> Figure:
-    """Return a drawing of the tree of regions, from left to right in time.
-
-    A region is a line from its birth to its split or the end of the run; where it splits, what lies
-    below the cut goes down. The colours are those of figure 2.
-
-    Args:
-        run: The run.
-        agent: Whose regions.
-
-    Raises:
-        ValueError: There is no such agent, or its steps are not recorded.
-    """
-    family = run.family(agent).to_pylist()
-    heights = _heights(family)
-    colours, key = region_colours(run, agent)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDE[0], 3.4), layout="constrained")
-        axes = figure.subplots()
-        time_axis(axes, run.n_decisions)
-        lives = [
-            [(row["born_step"], height), (_end(row, run), height)]
-            for row, height in zip(family, heights, strict=True)
-        ]
-        axes.add_collection(LineCollection(lives, colors=colours, linewidths=1.2))
-        _draw_splits(axes, family, heights)
-        axes.set_ylim(-1, max(heights) + 1)
-        axes.yaxis.set_visible(False)
-        axes.spines["left"].set_visible(False)
-        legend(figure, [Line2D([], [], color=of, label=name) for name, of in key.items()])
     return figure
 
 
@@ -162,53 +129,12 @@ def _draw_decisions(panel: Axes, run: Run, step: int, axes: tuple[str, str], age
     points = [recent[column].to_numpy() for column in columns]
     before = np.arange(len(recent) - 1)
     zones = recent["zone"].to_numpy()[before] if run.zone_names else None
-    for zone in range(max(1, len(run.zone_names))):
+    for zone in range(len(run.zone_names)) or [-1]:
         here = before if zones is None else before[zones == zone]
-        colour = MIXED_COLOUR if zones is None else zone_colour(zone)
-        panel.plot(*(of[here] for of in points), color=colour, **DOT)
+        panel.plot(*(of[here] for of in points), **_dot(zone))
     panel.plot(*(of[-1:] for of in points), clip_on=False, zorder=5, **STAR)
 
 
-def _heights(family: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Return where regions are drawn: leaves in order of their cuts, parents between children."""
-    children: dict[int, list[int]] = {}
-    for row in family:
-        children.setdefault(row["parent"], []).append(row["region"])
-    heights = [0.0] * len(family)
-    to_visit, n_leaves = [0], 0
-    while to_visit:  # what lies below a cut first
-        region = to_visit.pop()
-        if region in children:
-            to_visit += reversed(children[region])
-        else:
-            heights[region], n_leaves = n_leaves, n_leaves + 1
-    for row in reversed(family):  # children come after their parents
-        if row["region"] in children:
-            heights[row["region"]] = float(np.mean([heights[c] for c in children[row["region"]]]))
-    return heights
-
-
-def _end(row: Mapping[str, Any], run: Run) -> int:
-    return int(row["split_step"]) if row["split_step"] >= 0 else run.n_decisions
-
-
-def _draw_splits(axes: Axes, family: Sequence[Mapping[str, Any]], heights: Sequence[float]) -> None:
-    """Draw lines from parents to children, and label the first cuts."""
-    for row in family[1:]:
-        ends = [heights[row["parent"]], heights[row["region"]]]
-        axes.plot([row["born_step"]] * 2, ends, color=MIXED_COLOUR, linewidth=0.6, zorder=0)
-    cuts = sorted((row for row in family if row["split_step"] >= 0), key=_split_step)
-    for row in cuts[:MOST_LABELS]:
-        axes.annotate(
-            f"{row['cut_dimension']} at {row['cut_value']:.2f}",
-            (row["split_step"], heights[row["region"]]),
-            (3, 0),
-            textcoords="offset points",
-            fontsize=6,
-            va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
-        )
-
-
-def _split_step(row: Mapping[str, Any]) -> int:
-    return int(row["split_step"])
+def _dot(zone: int) -> dict[str, Any]:
+    """Return the style of the decisions in a zone; of those in a world without zones for -1."""
+    return {"color": zone_colour(zone), "marker": zone_marker(zone), **DOT}

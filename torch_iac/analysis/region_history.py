@@ -5,8 +5,8 @@ points of a curve.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,23 @@ class ErrorCurve:
         region: Which region.
         decisions: Shape `(P,)`: when; the birth, each decision it predicted, the end.
         mean_errors: Shape `(P,)`: the mean of its last errors then, in scaled units.
+        n_errors: Shape `(P,)`: how many errors the mean is over.
     """
 
     region: int
     decisions: NDArray[np.int64]
     mean_errors: NDArray[np.float64]
+    n_errors: NDArray[np.int64]
+
+    def of_at_least(self, n_errors: int) -> Self:
+        """Return the part whose means are over so many errors."""
+        kept = self.n_errors >= n_errors
+        return replace(
+            self,
+            decisions=self.decisions[kept],
+            mean_errors=self.mean_errors[kept],
+            n_errors=self.n_errors[kept],
+        )
 
 
 def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[ErrorCurve]:
@@ -88,7 +100,9 @@ def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[Er
         last_errors[region] = history[-window:] if run.inherits_history else no_errors
         if not len(history):
             continue
-        means = _running_mean(history, window)[max(len(inherited) - 1, 0) :]
+        first = max(len(inherited) - 1, 0)
+        means = _running_mean(history, window)[first:]
+        n_errors = np.minimum(np.arange(first + 1, len(history) + 1), window)
         birth = [row["born_step"]] if len(inherited) else []
         end = len(errors) - 1 if row["split_step"] < 0 else row["split_step"]
         curves.append(
@@ -96,6 +110,7 @@ def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[Er
                 region,
                 np.array([*birth, *own.tolist(), end], dtype=np.int64),
                 np.append(means, means[-1]),
+                np.append(n_errors, n_errors[-1]),
             )
         )
     return curves

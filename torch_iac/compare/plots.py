@@ -1,23 +1,30 @@
 """Pictures of a comparison: shares and errors over time, and probabilities of improvement.
 
-Colours are Okabe and Ito's, which colour-blind readers tell apart; with many variants, lines differ
-too. Shapes: `W` windows of decisions, `S` seeds, `Z` zones.
+Shapes: `W` windows of decisions, `S` seeds, `Z` zones.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac.analysis.bootstrap import Estimate, band
-from torch_iac.analysis.style import COLOURS, LINES, PANELS_A_ROW, STYLE, time_axis
+from torch_iac.analysis.style import (
+    COLOURS,
+    PANELS_A_ROW,
+    STYLE,
+    band_style,
+    line_style,
+    name_lines,
+    plain_errors,
+    time_axis,
+)
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
 from torch_iac.runs.statistics import known_mean, summed_up
@@ -27,6 +34,9 @@ EVERYWHERE = "everywhere"
 
 WIDTH = 7.0
 """Inches: the whole width of a page."""
+
+N_TICKS = 3
+"""Ticks along the time of a panel, at most; more would touch those of the next panel."""
 
 LEGEND_LETTERS = 90
 """Characters that fit into a row of the legend."""
@@ -95,7 +105,7 @@ def draw_shares(curves: Mapping[str, Curves]) -> Figure:
         first = next(iter(panels.values()))
         first.yaxis.set_major_formatter(PercentFormatter(1.0))
         first.set_ylabel(f"Share of time in {_window(curves)} decisions")
-        _legend(figure, curves)
+        name_lines(figure, [*panels.values()][-1], _n_columns(curves))
     return figure
 
 
@@ -112,8 +122,9 @@ def draw_errors(curves: Mapping[str, Curves]) -> Figure:
         first = next(iter(panels.values()))
         if any((of.errors > 0).any() for of in curves.values()):
             first.set_yscale("log")  # and with it the others
+            plain_errors(first.yaxis)
         first.set_ylabel(f"Mean error in {_window(curves)} decisions (scaled)")
-        _legend(figure, curves)
+        name_lines(figure, [*panels.values()][-1], _n_columns(curves))
     return figure
 
 
@@ -148,7 +159,7 @@ def _panels(curves: Mapping[str, Curves], names: Sequence[str]) -> tuple[Figure,
     figure = Figure(figsize=(WIDTH, 2.35 + 0.15 * n_rows), layout="constrained")
     axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for panel, name in zip(axes, names, strict=True):
-        time_axis(panel, max(of.n_decisions for of in curves.values()), n_ticks=4)
+        time_axis(panel, max(of.n_decisions for of in curves.values()), n_ticks=N_TICKS)
         panel.set_title(name, fontsize=8, fontweight="bold")
     return figure, dict(zip(names, axes, strict=True))
 
@@ -158,10 +169,11 @@ def _draw_lines(
 ) -> None:
     """Draw the mean of each variant's values, shape `(W, S)`, and its interval."""
     for place, (name, of) in enumerate(curves.items()):
-        style = _style(place)
-        panel.plot(of.middles, known_mean(values[name], axis=1), linewidth=1.2, **style)
+        style = line_style(place)
+        means = known_mean(values[name], axis=1)
+        panel.plot(of.middles, means, linewidth=1.2, label=name, **style)
         low, high = _known_band(values[name])
-        panel.fill_between(of.middles, low, high, color=style["color"], alpha=0.2, linewidth=0)
+        panel.fill_between(of.middles, low, high, **band_style(style["color"]))
 
 
 def _known_band(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -180,39 +192,18 @@ def _draw_points(panel: Axes, pairs: Sequence[str], found: Mapping[str, Estimate
     for place, pair in enumerate(pairs):
         if pair in found:
             of = found[pair]
-            panel.plot([of.low, of.high], [place, place], color=COLOURS[5], linewidth=1.2)
-            panel.plot([of.value], [place], "o", color=COLOURS[5], markersize=4, clip_on=False)
+            panel.plot([of.low, of.high], [place, place], color=COLOURS[6], linewidth=1.2)
+            panel.plot([of.value], [place], "o", color=COLOURS[6], markersize=4, clip_on=False)
     panel.set_yticks(range(len(pairs)), pairs)
     panel.set_ylim(len(pairs) - 0.5, -0.5)
     panel.set_xlim(0, 1)
     panel.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
 
 
-def _legend(figure: Figure, variants: Collection[str]) -> None:
-    """Put a legend above the panels, clear of the data, in as many rows as it needs."""
-    figure.legend(
-        handles=[
-            Line2D([], [], linewidth=1.6, label=name, **_style(place))
-            for place, name in enumerate(variants)
-        ],
-        loc="outside upper center",
-        ncols=_n_columns(variants),
-        frameon=False,
-        handlelength=2.0,
-        columnspacing=1.2,
-    )
-
-
 def _n_columns(variants: Collection[str]) -> int:
     """Return the number of columns of the legend."""
     longest = max(map(len, variants)) + 6  # with the line before it
     return max(1, min(len(variants), LEGEND_LETTERS // longest))
-
-
-def _style(place: int) -> dict[str, Any]:
-    """Return the colour and the line of a variant."""
-    line = LINES[place // len(COLOURS) % len(LINES)]
-    return {"color": COLOURS[place % len(COLOURS)], "linestyle": line}
 
 
 def _zones(curves: Mapping[str, Curves]) -> list[str]:

@@ -18,7 +18,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac.analysis.region_history import region_bounds
-from torch_iac.analysis.style import MIXED_COLOUR, ZONE_COLOURS, time_axis
+from torch_iac.analysis.style import MIXED_COLOUR, name_ends, time_axis, zone_colour, zone_style
 from torch_iac.replay.scenes import Stage
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import WINDOW
@@ -228,12 +228,11 @@ class Sheets:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
         axes.axvspan(decision, self.run.n_decisions, **TO_COME)
         middles = (np.arange(len(self._shares)) + 0.5) * WINDOW
-        for zone, name in enumerate(self.run.zone_names):
-            colour = _colour(zone)
-            axes.plot(middles, self._shares[:, zone], color=colour, linewidth=2)
-            key = {"fontweight": "bold", "color": colour, "fontsize": 15}
-            _write(figure, 1216, 650 - 26 * zone, name, **key)
-        if self.run.zone_names:
+        for zone in range(len(self.run.zone_names)):
+            axes.plot(middles, self._shares[:, zone], linewidth=2, **zone_style(zone))
+        if len(self._shares):
+            ends = dict(zip(self.run.zone_names, self._shares[-1].tolist(), strict=True))
+            name_ends(axes, ends, [zone_colour(zone) for zone in range(len(ends))], size=15)
             _write(figure, 90, 574, f"Share of time in {WINDOW} decisions", fontsize=12.5)
 
     def _said(self, name: str, value: float) -> str:
@@ -281,6 +280,4 @@ def _label(axes: Axes, name: str, value: str) -> None:
 
 
 def _colour(zone: int | None) -> str:
-    if zone is None or zone < 0:
-        return MIXED_COLOUR
-    return ZONE_COLOURS[zone % len(ZONE_COLOURS)]
+    return zone_colour(-1 if zone is None else zone)
