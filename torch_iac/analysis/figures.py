@@ -30,12 +30,10 @@ from torch_iac.analysis.style import (
     time_axis,
     zone_colour,
 )
+from torch_iac.runs.followed_regions import LEAST_PURITY
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.schema import MAIN, WINDOW
 from torch_iac.runs.statistics import Calibration, calibration, known_mean, zone_errors, zone_shares
-
-LEAST_PURITY = 2 / 3
-"""A region has the colour of a zone if so many of its decisions were in it."""
 
 DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
 """Style of the curve of deciles."""

@@ -11,6 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+# TensorBoard's pictures have the same colours.
+from torch_iac.runs.charts import MIXED_COLOUR as MIXED_COLOUR
+from torch_iac.runs.charts import ZONE_COLOURS as ZONE_COLOURS
+from torch_iac.runs.charts import zone_colour as zone_colour
+
 COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")
 """Black, orange, sky blue, bluish green, reddish purple, blue, vermillion."""
 
@@ -23,14 +28,8 @@ DPI = 220
 PANELS_A_ROW = 3
 """Panels in a row where each measure has one."""
 
-ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Vermillion, blue, bluish green, reddish purple, orange, sky blue: zone after zone."""
-
 EXPERT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#D55E00")
 """Black, orange, sky blue, reddish purple, yellow, vermillion: the main experts, then shadows."""
-
-MIXED_COLOUR = "#999999"
-"""For regions that cover no zone well enough."""
 
 SIZE = (3.5, 2.6)
 """Inches: one column of a paper."""
@@ -88,11 +87,6 @@ def legend_line(colour: str, label: str) -> Line2D:
 def band_style(colour: str) -> dict[str, Any]:
     """Return how an interval around a line is filled."""
     return {"color": colour, "alpha": 0.25, "linewidth": 0}
-
-
-def zone_colour(zone: int) -> str:
-    """Return the colour of a zone."""
-    return ZONE_COLOURS[zone % len(ZONE_COLOURS)]
 
 
 def expert_colour(place: int) -> str:

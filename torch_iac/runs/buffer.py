@@ -23,6 +23,9 @@ ROWS_PER_PART = 2**19
 N_LOGGED_AGENTS = 64
 """Regions are logged for the first 64 agents."""
 
+TOLD = ("errors", "expected_errors", "regions", "zones")
+"""The fields of which TensorBoard is told."""
+
 DTYPES = {
     "random_actions": torch.bool,
     "errors": torch.float64,
@@ -109,14 +112,15 @@ class Rows:
         self.count += 1
 
     def since(self, start: int) -> dict[str, NDArray[Any]]:
-        """Return errors and what MP expected of them, each `(T, A)`, from `start` on.
+        """Return the fields of `TOLD`, each `(T, A)`, from a decision in memory on.
 
         Of the first agents only, as many as TensorBoard needs.
         """
         kept = slice(start, self.count)
         return {
             field: self._blocks[field][kept, :N_LOGGED_AGENTS].numpy(force=True)
-            for field in ("errors", "expected_errors")
+            for field in TOLD
+            if field in self._blocks
         }
 
     def clear(self) -> None:

@@ -180,7 +180,7 @@ class Recorder:
         self._first_decision = -1  # from which windows are counted
         self._n_parts = self._n_told = 0
         self._dashboard = Dashboard(
-            self.folder, min(N_LOGGED_AGENTS, n_agents), self._zone_names, shadows
+            self.folder, agent.space, min(N_LOGGED_AGENTS, n_agents), self._zone_names, shadows
         )
         self._started = time.perf_counter()
 
