@@ -77,7 +77,8 @@ class Visits:
         if n_new > 0:
             # Room for more than is needed, so that growing costs little in all.
             self._counts = np.pad(self._counts, ((0, n_new + len(self._counts)), (0, 0)))
-        np.add.at(self._counts, (regions, 0 if zones is None else zones), 1)
+        cells = regions * self._counts.shape[1] + (0 if zones is None else zones)
+        np.add.at(self._counts.reshape(-1), cells, 1)
 
     def totals(self, n_regions: int) -> NDArray[np.int64]:
         """Return the decisions in each of the first regions, shape `(n_regions,)`."""

@@ -20,6 +20,7 @@ from torch.utils.tensorboard import FileWriter
 from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.records import Genealogy, RegionSummary
+from torch_iac.regions.tree import NONE
 from torch_iac.runs.followed_regions import Family, Followed, Visits
 from torch_iac.runs.schema import EVENTS, USED_NETWORK, shadow_error
 from torch_iac.runs.tensorboard_images import (
@@ -189,13 +190,18 @@ class Dashboard:
     ) -> dict[str, float]:
         """Return the progress and the mean error of the regions that have curves, `(L,)` each."""
         places = {region: place for place, region in enumerate(regions.tolist())}
-        scalars = {}
+        scalars: dict[str, float] = {}
         for region in self._followed.present:
             if region in places:  # it may have been cut since
                 values = (float(of[places[region]]) for of in (progress, errors))
                 tags = _region_tags(self._followed.names[region])
                 scalars |= dict(zip(tags, values, strict=True))
         return {tag: value for tag, value in scalars.items() if np.isfinite(value)}
+
+    def zone_of(self, region: int) -> str:
+        """Return the zone in which a region of agent 0 lies; nothing if it lies in none."""
+        zone = int(self._visits.zones(region + 1)[region])
+        return "" if zone == NONE else self._zone_names[zone]
 
     def flush(self) -> None:
         """Write what the writer still keeps."""
