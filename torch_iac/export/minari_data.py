@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from warnings import catch_warnings
@@ -63,9 +64,7 @@ def save_minari(run: Run, target: str) -> str:
     root, name = _root_and_name(target)
     episodes = [e for agent in range(run.n_recorded) for e in episodes_of(run, agent)]
     if not episodes:
-        raise ValueError(
-            f"an episode must have two decisions to be exported, got {run.n_decisions} in {run.folder}"
-        )
+        raise ValueError(f"an episode must have two decisions, got none that has in {run.folder}")
     with _datasets_in(root), catch_warnings(category=UserWarning, action="ignore"):
         if name in minari.list_local_datasets():
             raise ValueError(f"a data set must have a new name, got {target}, which is there")
@@ -100,7 +99,7 @@ def episodes_of(run: Run, agent: int = 0) -> list[Episode]:
     is_last = (outcomes[:-1] != sensors[1:, seen]).any(axis=1)
     firsts = [0, *(np.flatnonzero(is_last) + 1).tolist(), len(actions)]
     progress, episodes = steps["progress"].to_numpy(), []
-    for start, end in zip(firsts, firsts[1:], strict=False):
+    for start, end in pairwise(firsts):
         observations = sensors[start:end]
         if is_whole:
             final = np.empty_like(sensors[:1])

@@ -181,8 +181,8 @@ class _Sheet:
         children = children_of(self._family)
         cuts = [row for row in self._family if row["split_step"] >= 0]
         texts = [
-            f"region {row['region']} was cut where {row['cut_dimension']} is {row['cut_value']:.3g}: "
-            "region {} below, {} above".format(*children[row["region"]])
+            f"region {row['region']} was cut along {row['cut_dimension']} at "
+            f"{row['cut_value']:.3g}; its children: {children[row['region']]}"
             for row in cuts
         ]
         if cuts:

@@ -168,7 +168,7 @@ class Chart:
         self, points: Sequence[Sequence[float]], colour: str, width: float = 1.0
     ) -> None:
         fine = [(x * FINER, y * FINER) for x, y in points]
-        self._pen.line(fine, colour, round(width * FINER))
+        self._pen.line(fine, colour, max(1, round(width * FINER)))
 
 
 def shades(progress: NDArray[np.float64], scale: float) -> NDArray[np.uint8]:
