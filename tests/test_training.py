@@ -153,9 +153,14 @@ class Terminal(io.StringIO):
 def test_below_the_progress_bar_stands_what_the_robots_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, is_shown: bool
 ) -> None:
-    looks = []
+    looks: list[int] = []
+
+    def look(_: Recorder) -> str:
+        looks.append(0)
+        return "echo 100%"
+
     monkeypatch.setattr(training, "SECONDS_BETWEEN_LOOKS", seconds)
-    monkeypatch.setattr(Recorder, "present", lambda _: looks.append(0) or "echo 100%")
+    monkeypatch.setattr(Recorder, "present", look)
     monkeypatch.setattr(sys, "stderr", Terminal())
     live(tmp_path, sync_worlds(1), [0], 5)
     assert isinstance(sys.stderr, Terminal)

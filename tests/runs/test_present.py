@@ -14,8 +14,10 @@ from torch_iac.runs.recorder import Recorder
 
 
 def regions(agent: list[int], region: list[int], progress: list[float]) -> RegionSummary:
-    numbers = [torch.tensor(of) for of in (agent, region)]
-    return RegionSummary(*numbers, torch.tensor(progress, dtype=torch.float64), *numbers)
+    agents, numbers = torch.tensor(agent), torch.tensor(region)
+    return RegionSummary(
+        agents, numbers, torch.tensor(progress, dtype=torch.float64), numbers, numbers
+    )
 
 
 def test_the_line_has_zones_error_regions_and_the_best() -> None:

@@ -14,10 +14,10 @@ from torch_iac.runs.reader import load_run
 
 ERROR = "prediction_error"
 PICTURES = [
-    "development/figure_2",
-    "development/figure_3",
-    "development/map",
-    "learning_progress/by_region",
+    "development/view_figure_2",
+    "development/view_figure_3",
+    "development/view_map",
+    "development/view_progress",
 ]
 
 
@@ -48,7 +48,7 @@ def test_tensorboard_shows_the_run_so_far(tmp_path: Path) -> None:
         logged = board.Scalars(f"learning_progress/in_{name}")[-1].value
         assert logged == pytest.approx(progress[zones == zone].mean())
     assert "prediction_error/expected" not in tags["scalars"]  # nobody expected anything
-    assert tags["histograms"] == ["learning_progress/histogram"]
+    assert tags["histograms"] == ["learning_progress/spread"]
     assert sorted(tags["images"]) == PICTURES
     assert "custom_scalars__config__" in tags["tensors"]
 
@@ -99,8 +99,8 @@ def test_pictures_come_early_and_then_at_every_tenth_log(tmp_path: Path) -> None
 
 def test_a_world_without_zones_has_no_figure_3(tmp_path: Path) -> None:
     board = events(write_run(tmp_path, n_decisions=600, zone_names=None))
-    assert "development/figure_3" not in board.Tags()["images"]
-    assert "development/figure_2" in board.Tags()["images"]
+    assert "development/view_figure_3" not in board.Tags()["images"]
+    assert "development/view_figure_2" in board.Tags()["images"]
     assert "learning_progress/region 2: sound > 0.667, of 0" in board.Tags()["scalars"]
 
 

@@ -17,19 +17,20 @@ ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 MIXED_COLOUR = "#999999"
 """For regions that cover no zone well enough."""
 
-SIZE = (640, 400)
-"""Width and height of a picture (pixels)."""
+SIZE = (330, 212)
+"""Width and height of a picture (pixels): TensorBoard's cards have so much room, and make larger
+ones smaller by leaving out pixels."""
 
-MARGINS = (58, 38, 74, 36)
+MARGINS = (40, 32, 62, 28)
 """Pixels to the left of the axes, above them, to the right and below."""
 
 FINER = 2
 """Pictures are drawn so many times as large and then made smaller, which smooths lines."""
 
-FONT_SIZE = 12
+FONT_SIZE = 11
 """Height of letters (pixels)."""
 
-LEAST_GAP = 13
+LEAST_GAP = 12
 """Labels at the right are so many pixels apart; those in between are left out."""
 
 GOOD, NEUTRAL, BAD = "#0072B2", "#FFFFFF", "#D55E00"
@@ -58,8 +59,8 @@ class Axis:
         return np.asarray((values - self.low) / (self.high - self.low))
 
     def ticks(self) -> list[float]:
-        """Return three to six round numbers on the axis."""
-        rough = (self.high - self.low) / 5
+        """Return two to five round numbers on the axis."""
+        rough = (self.high - self.low) / 4
         power = 10.0 ** math.floor(math.log10(rough))
         step = next(power * of for of in (1, 2, 5, 10) if power * of >= rough * (1 - 1e-9))
         first = math.ceil(self.low / step - 1e-9)
@@ -148,7 +149,7 @@ class Chart:
 
     def scale(self, colours: NDArray[np.uint8], low: str, high: str) -> None:
         """Draw a scale of colours, shape `(X, 3)`, above the axes, with what its ends mean."""
-        x, y, size = SIZE[0] / 2 - 45, self.top - 15, (90, 10)
+        x, y, size = SIZE[0] / 2 - 30, self.top - 14, (60, 8)
         bar = Image.fromarray(colours[None]).resize((size[0] * FINER, size[1] * FINER))
         self._picture.paste(bar, (round(x * FINER), y * FINER))
         self.write(x - 6, y + size[1] / 2, low, "rm")

@@ -1,7 +1,9 @@
 """What TensorBoard shows of a run while it goes on.
 
 Its first page sorts groups of tags by name and opens the first two only: those are `development`
-and `learning_progress`, so that a user sees at once what the robot does and where it learns.
+and `learning_progress`, so that a user sees at once what the robot does and where it learns. Within
+a group, curves come before what has a card for each run (`view_...`, `region ...`): a comparison of
+many runs begins with curves.
 
 Shapes: `A` agents, `T` decisions, `Z` zones.
 """
@@ -48,22 +50,22 @@ EARLY_PICTURES, LOGS_PER_PICTURE = (1, 2, 5), 10
 also chosen which regions have curves."""
 
 DESCRIPTIONS = {
-    "development/figure_2": "Figure 2 of the paper: the mean error of each region of agent 0, from "
-    "its birth to its cut, in the colour of the zone where its decisions were. Regions with a "
+    "development/view_figure_2": "Figure 2 of the paper: the mean error of each region of agent 0, "
+    "from its birth to its cut, in the colour of the zone where its decisions were. Regions with a "
     "curve in learning_progress/ are in bold, with their number.",
-    "development/figure_3": "Figure 3 of the paper: the share of decisions in each zone, over all "
-    "agents.",
-    "development/map": "Learning progress of agent 0. Each row is a present region, neighbours in "
-    "the tree side by side; before its birth it shows its ancestors. Blue: errors fall, "
-    "vermillion: errors grow. At the right, the zone of each region, and the numbers of those with "
-    "a curve in learning_progress/.",
+    "development/view_figure_3": "Figure 3 of the paper: the share of decisions in each zone, over "
+    "all agents.",
+    "development/view_map": "Learning progress of agent 0. Each row is a present region, "
+    "neighbours in the tree side by side; before its birth it shows its ancestors. Blue: errors "
+    "fall, vermillion: errors grow. At the right, the zone of each region, and the numbers of "
+    "those with a curve in learning_progress/.",
     "development/n_regions": "How many regions an agent's cube is in, mean over the first agents.",
     "development/network_share": "Share of the last decisions in whose region hybrid experts used "
     "the network, over all agents.",
     "learning_progress/best": "Learning progress of the best region, mean over the first agents.",
-    "learning_progress/by_region": "Learning progress of each region of agent 0, as figure_2 has "
+    "development/view_progress": "Learning progress of each region of agent 0, as figure 2 has "
     "errors.",
-    "learning_progress/histogram": "Learning progress of every present region of the first agents.",
+    "learning_progress/spread": "Learning progress of every present region of the first agents.",
     "learning_progress/mean": "Mean learning progress of the regions that predicted the last "
     "decisions, over all agents.",
     "prediction_error/mean": "Mean prediction error of the last decisions, over all agents, in "
@@ -159,7 +161,7 @@ class Dashboard:
         if self._n_logs in EARLY_PICTURES or self._n_logs % LOGS_PER_PICTURE == 0:
             values = self._pictures(n_decisions, Family.of(genealogy()))
             histogram = histogram_of(regions.progress.numpy())
-            values.append(self._value("learning_progress/histogram", histo=histogram))
+            values.append(self._value("learning_progress/spread", histo=histogram))
         scalars |= self._by_region(*of_own)
         values += [self._value(tag, simple_value=value) for tag, value in scalars.items()]
         self._writer.add_summary(Summary(value=values), n_decisions)
@@ -172,12 +174,12 @@ class Dashboard:
         zones = self._visits.zones(len(family.parents))
         scene = Scene(n_decisions, family, zones, self._zone_names, self._followed.present)
         pictures = {
-            "development/figure_2": self._regions.draw_lines(scene, ERRORS),
-            "development/map": self._regions.draw_map(scene),
-            "learning_progress/by_region": self._regions.draw_lines(scene, PROGRESS),
+            "development/view_figure_2": self._regions.draw_lines(scene, ERRORS),
+            "development/view_map": self._regions.draw_map(scene),
+            "development/view_progress": self._regions.draw_lines(scene, PROGRESS),
         }
         if self._zone_names:
-            pictures["development/figure_3"] = self._zones.draw(self._zone_names)
+            pictures["development/view_figure_3"] = self._zones.draw(self._zone_names)
         if self._calibration.is_known:
             pictures["mp_calibration/deciles"] = self._calibration.draw()
         return [self._value(tag, image=picture) for tag, picture in pictures.items()]

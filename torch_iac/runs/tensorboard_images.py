@@ -161,7 +161,7 @@ class RegionHistory:
         strongest = float(np.quantile(known, STRONGEST)) or LEAST_PROGRESS
         at = np.linspace(0, scene.n_decisions, N_MOMENTS)
         moments = np.searchsorted(self._decisions, at).clip(max=len(self._decisions) - 1)
-        label = f"the {len(rows)} present regions, neighbours in the tree side by side"
+        label = f"{len(rows)} present regions, in tree order"
         time = Axis(0, scene.n_decisions, DECISIONS)
         chart = Chart(time, Axis(0, len(rows), label), has_grid=False)
         chart.paint(shades(lines[:, moments], strongest))
