@@ -62,7 +62,7 @@ def page(comparison: Comparison) -> Iterator[Page]:
     expect.set_options(timeout=PATIENCE)
     with (
         serve(comparison.folder.parent) as address,
-        browse(address, BROWSER, width=1600, height=3000) as page,
+        browse(address, BROWSER, width=1600, height=4500) as page,
     ):
         yield page
 
