@@ -1,7 +1,9 @@
 """The loop that joins a population and its worlds."""
 
+import io
 import logging
 import re
+import sys
 from pathlib import Path
 from typing import Any, SupportsFloat
 
@@ -130,6 +132,42 @@ def test_where_there_is_no_terminal_the_log_speaks_now_and_then(
     assert len(caplog.messages) == 3
     for number, message in enumerate(caplog.messages, start=1):
         assert re.fullmatch(rf"{number} of 3 decisions, [\d.e+]+ a second", message)
+
+
+def test_the_log_says_what_the_robots_do(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "SECONDS_BETWEEN_LINES", 0.0)
+    with caplog.at_level(logging.INFO, logger="torch_iac.training"):
+        live(tmp_path, sync_worlds(2), [0, 1], 3)
+    for message in caplog.messages:
+        assert re.search(r" a second: .*error [\d.e-]+, 1 region, best 0.* progress 0", message)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("seconds", "is_shown"), [(0.0, True), (1e9, False)])
+def test_below_the_progress_bar_stands_what_the_robots_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, is_shown: bool
+) -> None:
+    looks: list[int] = []
+
+    def look(_: Recorder) -> str:
+        looks.append(0)
+        return "echo 100%"
+
+    monkeypatch.setattr(training, "SECONDS_BETWEEN_LOOKS", seconds)
+    monkeypatch.setattr(Recorder, "present", look)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    live(tmp_path, sync_worlds(1), [0], 5)
+    assert isinstance(sys.stderr, Terminal)
+    shown = sys.stderr.getvalue()
+    assert "/5 [" in shown
+    assert ("echo 100%" in shown) is is_shown
+    assert len(looks) == 5 * is_shown
 
 
 class Ladder(gym.Env[Sensors, Sensors]):

@@ -19,6 +19,9 @@ from torch_iac.worlds.vector import World, outcome_of, refuse_overwriting, zones
 SECONDS_BETWEEN_LINES = 10.0
 """Seconds between two lines in the log, where there is no terminal for a progress bar."""
 
+SECONDS_BETWEEN_LOOKS = 1.0
+"""Seconds between two looks at the robots for the progress bar."""
+
 CHECKPOINT_EVERY = 1000
 """Default number of decisions between two checkpoints."""
 
@@ -85,7 +88,8 @@ def train(
             f"got {n_decisions}"
         )
     saver = _Saver(agent, env, recorder, checkpoints) if checkpoints else None
-    for _ in _counted(agent.n_decisions, n_decisions):
+    present = recorder.present if recorder is not None else str
+    for _ in _counted(agent.n_decisions, n_decisions, present):
         sensors, _, terminated, truncated, info = env.step(agent.act(sensors))
         ends = terminated | truncated
         step = agent.observe(outcome_of(env, sensors, ends, info))
@@ -160,16 +164,27 @@ class _Saver:
         self._took = self._ended - started
 
 
-def _counted(taken: int, n_decisions: int) -> Iterator[int]:
-    """Count decisions, with a progress bar on a terminal and a line in the log now and then."""
+def _counted(taken: int, n_decisions: int, present: Callable[[], str]) -> Iterator[int]:
+    """Count decisions, with a progress bar on a terminal and a line in the log now and then.
+
+    Args:
+        taken: How many were taken before.
+        n_decisions: How many there will be.
+        present: Says in a line what the robots do now; asked only when that is shown.
+    """
     started = spoken = time.monotonic()
     bar = tqdm(
         range(taken, n_decisions), unit="decision", initial=taken, total=n_decisions, disable=None
     )
-    for number in bar:
-        yield number
-        now = time.monotonic()
-        if bar.disable and now - spoken >= SECONDS_BETWEEN_LINES:
-            spoken = now
-            rate = (number + 1 - taken) / (now - started)
-            log.info("%d of %d decisions, %.3g a second", number + 1, n_decisions, rate)
+    interval = SECONDS_BETWEEN_LINES if bar.disable else SECONDS_BETWEEN_LOOKS
+    with tqdm(bar_format="{desc}", position=1, leave=False, disable=None) as below:
+        for number in bar:
+            yield number
+            now = time.monotonic()
+            if now - spoken < interval:
+                continue
+            spoken, line = now, present()
+            below.set_description_str(line)  # which is nothing where there is no terminal
+            if bar.disable:
+                rate, end = (number + 1 - taken) / (now - started), f": {line}" if line else ""
+                log.info("%d of %d decisions, %.3g a second%s", number + 1, n_decisions, rate, end)

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import sysconfig
 import time
 from contextlib import redirect_stderr, redirect_stdout
@@ -22,6 +23,7 @@ from imageio_ffmpeg import count_frames_and_secs
 from PIL import Image, ImageSequence
 
 from tests.same_run import differences
+from tests.synthetic_run import write_run
 from torch_iac import (
     PRESETS,
     Error,
@@ -324,6 +326,39 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
     names = [f"{figure}.{kind}" for figure in figures for kind in ("png", "pdf")]
     assert answer.out.splitlines() == [str(folder / "figures" / name) for name in names]
     assert all((folder / "figures" / name).stat().st_size for name in names)
+
+
+def test_a_run_is_exported_for_other_programs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("minari", reason="needs Minari: pip install 'torch_iac[minari]'")
+    pytest.importorskip("rerun", reason="needs Rerun: pip install 'torch_iac[rerun]'")
+    folder, sets = train(tmp_path / "a").folder, tmp_path / "sets"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(sets))
+    file = tmp_path / "a.rrd"
+    answer = typed("export", folder, "--rerun", file, "--minari", "room-v0")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.splitlines() == [str(file), str(sets / "room-v0" / "data")]
+    assert file.stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ((), "export needs a target: --rerun FILE.rrd, --minari NAME or both"),
+        (("--rerun", "a.rrd"), "--rerun needs Rerun: pip install 'torch_iac[rerun]'"),
+        (("--minari", "a-v0"), "--minari needs Minari: pip install 'torch_iac[minari]'"),
+    ],
+    ids=["nothing", "rerun", "minari"],
+)
+def test_what_an_export_needs_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], sentence: str
+) -> None:
+    for library in ("rerun", "minari"):
+        monkeypatch.setitem(sys.modules, library, None)  # as if it were not installed
+    folder = write_run(tmp_path / "a", n_decisions=10)
+    answer = typed("export", folder, *words)
+    assert (answer.code, answer.out, answer.err) == (2, "", f"torch-iac: {sentence}\n")
 
 
 def test_a_run_is_filmed_into_its_folder(tmp_path: Path) -> None:

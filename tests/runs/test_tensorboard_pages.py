@@ -12,10 +12,13 @@ from tests.synthetic_run import ZONES, write_run
 from torch_iac import Experiment, IACConfig
 from torch_iac.compare.plan import Comparison, Variant
 from torch_iac.compare.report import save_report
-from torch_iac.runs.tensorboard_images import MAP_PIXELS
+from torch_iac.runs.charts import SIZE
 
 BROWSER = find_browser()
 N_RUNS = 3
+VIEWS = ("figure_2", "figure_3", "map", "progress")
+CARDS_A_PAGE = 12
+"""TensorBoard shows so many cards of a group at once."""
 N_MEASURES_SHOWN = 5
 """HParams hides columns beyond these until they are ticked."""
 
@@ -59,69 +62,77 @@ def page(comparison: Comparison) -> Iterator[Page]:
     expect.set_options(timeout=PATIENCE)
     with (
         serve(comparison.folder.parent) as address,
-        browse(address, BROWSER, width=1600, height=3000) as page,
+        browse(address, BROWSER, width=1600, height=4500) as page,
     ):
         yield page
 
 
-def test_the_first_page_begins_with_what_robots_do_and_how_well_they_predict(page: Page) -> None:
+def test_the_first_page_begins_with_what_robots_do_and_where_they_learn(page: Page) -> None:
     groups = page.locator("metrics-card-groups .card-group")
     expect(groups.locator(".group-title")).to_have_text(
         [
             "development",
-            "error",
+            "learning_progress",
             "measures",
             "mp_calibration",
-            "progress",
-            "region_error",
-            "region_progress",
-            "top_progress",
+            "prediction_error",
         ]
     )
     time = [f"development/time_in_{name}" for name in ZONES]
-    maps = ["development/map"] * N_RUNS
+    views = [f"development/view_{what}" for what in VIEWS for _ in range(N_RUNS)]
     titles = "tb-truncated-path"
-    expect(groups.nth(0).locator(titles)).to_have_text([*maps, "development/n_regions", *time])
-    expect(groups.nth(1).locator(titles)).to_have_text(
-        ["error/expected", "error/mean", "error/mlp"]
-    )
+    cards = ["development/n_regions", *time, *views]
+    expect(groups.nth(0).locator(titles)).to_have_text(cards[:CARDS_A_PAGE])
+    progress = [f"learning_progress/{of}" for of in ("best", "in_f1", "in_f2", "in_f3", "mean")]
+    regions = [
+        "learning_progress/region 0",
+        "learning_progress/region 1 f2: sound <= 0.667, of 0",
+        "learning_progress/region 3 f3: left_wheel <= 0, of 2",
+    ]
+    shown = groups.nth(1).locator(titles)
+    expect(shown.nth(len(progress) + len(regions) - 1)).to_be_visible()
+    assert [title.strip() for title in shown.all_inner_texts()][:8] == [*progress, *regions]
     expect(groups.nth(2).locator(titles)).to_have_count(0)  # closed, as are those below
 
 
-def test_the_map_is_there_to_look_at(page: Page) -> None:
-    height, width = MAP_PIXELS
+def test_pictures_are_there_to_look_at_and_not_made_smaller(page: Page) -> None:
+    width, height = SIZE
     pictures = page.locator("image-card img")
-    expect(pictures).to_have_count(N_RUNS)
+    expect(pictures).to_have_count(CARDS_A_PAGE - 1 - len(ZONES))
+    box = pictures.first.bounding_box()
+    assert box is not None
+    assert box["height"] >= height
     for picture in pictures.all():
         expect(picture).to_have_js_property("naturalWidth", width)
         expect(picture).to_have_js_property("naturalHeight", height)
 
 
-def test_custom_scalars_are_four_charts_with_all_their_curves(page: Page) -> None:
+def test_custom_scalars_have_one_curve_a_run_in_each_chart(page: Page) -> None:
     open_tab(page, "custom_scalars")
     charts = page.locator(CHART)
-    expect(charts.locator("[itemprop=name]")).to_have_text(
-        [
-            "Share of time in each zone",
-            "Learning progress of the best regions",
-            "Prediction errors: the experts, what MP expected of them, their shadows",
-            "Number of regions",
-        ]
-    )
-    for place, n_curves in ((0, len(ZONES) * N_RUNS), (2, N_RUNS + 2), (3, N_RUNS)):
-        expect(charts.nth(place).get_by_text(f"Matches ({n_curves})")).to_be_visible()
+    in_zones = [f"in {name}" for name in ZONES]
+    titles = [*in_zones, "of the best region", *in_zones]
+    expect(charts.nth(len(titles) - 1)).to_be_visible()
+    names = charts.locator("[itemprop=name]").all_inner_texts()
+    assert [name.strip() for name in names][: len(titles)] == titles
+    for place in range(len(titles)):
+        expect(charts.nth(place).get_by_text(f"Matches ({N_RUNS})")).to_be_visible()
 
 
-def test_images_are_the_map_and_the_calibration(page: Page) -> None:
+def test_images_are_views_and_the_calibration(page: Page) -> None:
     open_tab(page, "images")
     board = page.locator("tf-image-dashboard")
     expect(board.locator(".category-name")).to_have_text(["development", "mp_calibration"])
     board.locator("button.heading", has_text="mp_calibration").click()
     expect(board.locator("tf-image-loader [itemprop=name]")).to_have_text(
-        ["development/map"] * N_RUNS + ["mp_calibration/deciles"]
+        [
+            *(f"development/view_{what}" for what in VIEWS for _ in range(N_RUNS)),
+            "mp_calibration/deciles",
+        ]
     )
+    runs = ["alone", "windows/narrow/seed-000", "windows/wide/seed-000"]
     expect(board.locator("tf-image-loader [itemprop=run]")).to_have_text(
-        ["alone", "windows/narrow/seed-000", "windows/wide/seed-000", "alone"]
+        [*runs * len(VIEWS), "alone"]
     )
 
 

@@ -32,10 +32,8 @@ from torch_iac.analysis.style import (
     zone_colour,
     zone_style,
 )
+from torch_iac.runs.followed_regions import LEAST_PURITY
 from torch_iac.runs.reader import Run
-
-LEAST_PURITY = 2 / 3
-"""A region has the colour of a zone if so many of its decisions were in it."""
 
 MAX_POINTS = 400
 """A curve is drawn with at most so many points."""

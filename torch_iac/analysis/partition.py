@@ -3,14 +3,14 @@
 Shapes: `L` leaves, `D` situation dimensions.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from torch_iac.analysis.region_history import ancestors, children_of
+from torch_iac.analysis.region_history import children_of, decisions_by_region
 from torch_iac.runs.reader import Run
 from torch_iac.space import Dimension, SensorimotorSpace
 
@@ -93,14 +93,33 @@ def partition_of(run: Run, step: int | None = None, agent: int = 0) -> Partition
     Raises:
         ValueError: There is no such decision or agent, or its steps are not recorded.
     """
-    step = run.n_decisions if step is None else step
-    if not 0 <= step <= run.n_decisions:
-        raise ValueError(f"step must lie in [0, {run.n_decisions}], got {step}")
+    (partition,) = partitions_of(run, [run.n_decisions if step is None else step], agent)
+    return partition
+
+
+def partitions_of(run: Run, steps: Iterable[int], agent: int = 0) -> Iterator[Partition]:
+    """Yield an agent's regions when it chose some decisions; files are read once.
+
+    Args:
+        run: The run.
+        steps: Which decisions; their number is the end of the run.
+        agent: Whose space.
+
+    Raises:
+        ValueError: There is no such decision or agent, or its steps are not recorded.
+    """
     family = run.family(agent).to_pylist()
     lows, highs = _boxes(family, run.space)
-    leaves = [row["region"] for row in family if _is_leaf(row, step)]
-    progress = _progress(run, leaves, step, agent)
-    return Partition(run.space, np.array(leaves), progress, lows[leaves], highs[leaves])
+    columns = run.table(["error", "region"], agent)
+    errors = columns["error"].to_numpy()
+    own_decisions = decisions_by_region(columns["region"].to_numpy())
+    for step in steps:
+        if not 0 <= step <= len(errors):
+            raise ValueError(f"step must lie in [0, {len(errors)}], got {step}")
+        leaves = [row["region"] for row in family if _is_leaf(row, step)]
+        histories = (_history(run, family, own_decisions, leaf, step) for leaf in leaves)
+        progress = np.array([_progress(run, errors[of]) for of in histories])
+        yield Partition(run.space, np.array(leaves), progress, lows[leaves], highs[leaves])
 
 
 def situation_at(run: Run, step: int, agent: int = 0) -> dict[str, float]:
@@ -143,16 +162,27 @@ def _boxes(family: Sequence[Mapping[str, Any]], space: SensorimotorSpace) -> tup
     return lows, highs
 
 
-def _progress(run: Run, regions: Iterable[int], step: int, agent: int) -> Values:
-    """Return the learning progress of regions when a decision was chosen, by its definition."""
-    steps = run.table(["error", "region"], agent).slice(0, step)
-    errors, predicted_by = steps["error"].to_numpy(), steps["region"].to_numpy()
+def _history(
+    run: Run,
+    family: Sequence[Mapping[str, Any]],
+    own_decisions: Mapping[int, NDArray[np.int64]],
+    region: int,
+    step: int,
+) -> NDArray[np.int64]:
+    """Return the decisions before a step whose errors make the progress of a region."""
+    history, n_needed = np.empty(0, np.int64), run.error_window + run.delay
+    while region >= 0 and len(history) < n_needed:
+        own = own_decisions.get(region, np.empty(0, np.int64))
+        # Ancestors predicted before their children were born.
+        history = np.concatenate([own[: np.searchsorted(own, step)], history])
+        region = family[region]["parent"] if run.inherits_history else -1
+    return history
+
+
+def _progress(run: Run, errors: NDArray[np.float64]) -> float:
+    """Return the learning progress that errors, the last ones last, make by its definition."""
     window, delay = run.error_window, run.delay
-    progress = []
-    for region in regions:
-        line = [region, *ancestors(run, region, agent)] if run.inherits_history else [region]
-        history = errors[np.isin(predicted_by, line)]
-        before = history[: len(history) - delay][-window:]
-        is_known = len(history) >= window + delay
-        progress.append(before.mean() - history[-window:].mean() if is_known else 0.0)
-    return np.array(progress)
+    if len(errors) < window + delay:
+        return 0.0
+    before = errors[: len(errors) - delay][-window:]
+    return float(before.mean() - errors[-window:].mean())

@@ -88,7 +88,7 @@ def error_curves(run: Run, agent: int = 0, window: int | None = None) -> list[Er
     window = run.error_window if window is None else window
     steps = run.table(["error", "region"], agent)
     errors = steps["error"].to_numpy()
-    own_decisions = _decisions_by_region(steps["region"].to_numpy())
+    own_decisions = decisions_by_region(steps["region"].to_numpy())
     nothing = np.empty(0, dtype=np.int64)
     no_errors = np.empty(0)
     last_errors: dict[int, NDArray[np.float64]] = {-1: no_errors}
@@ -190,6 +190,13 @@ def region_zones(run: Run, agent: int = 0) -> RegionZones:
     return RegionZones(np.where(total > 0, counts.argmax(axis=1), -1), share)
 
 
+def decisions_by_region(regions: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
+    """Return, for each region that ever predicted, the decisions in which it did."""
+    order = np.argsort(regions, kind="stable")
+    names, starts = np.unique(regions[order], return_index=True)
+    return dict(zip(names.tolist(), np.split(order, starts[1:]), strict=True))
+
+
 def final_leaves(run: Run) -> NDArray[np.int64]:
     """Return the leaf in which each situation lies when the run ends, shape `(T, A)`.
 
@@ -219,13 +226,6 @@ def _route(
             above = situations[row["cut_dimension"]][here] > row["cut_value"]
             left, right = children[row["region"]]
             regions[here] = np.where(above, right, left)
-
-
-def _decisions_by_region(regions: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
-    """Return, for each region that ever predicted, the decisions in which it did."""
-    order = np.argsort(regions, kind="stable")
-    names, starts = np.unique(regions[order], return_index=True)
-    return dict(zip(names.tolist(), np.split(order, starts[1:]), strict=True))
 
 
 def _running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:

@@ -19,6 +19,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+# TensorBoard's pictures have the same colours.
+from torch_iac.runs.charts import MIXED_COLOUR as MIXED_COLOUR
+from torch_iac.runs.charts import ZONE_COLOURS as ZONE_COLOURS
+from torch_iac.runs.charts import zone_colour as zone_colour
+
 COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#D55E00", "#0072B2")
 """Black, orange, sky blue, bluish green, reddish purple, vermillion, blue."""
 
@@ -31,17 +36,11 @@ DPI = 220
 PANELS_A_ROW = 3
 """Panels in a row where each measure has one."""
 
-ZONE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Vermillion, blue, bluish green, reddish purple, orange, sky blue: zone after zone."""
-
 ZONE_LINES = (LINES[1], LINES[0], LINES[2], LINES[3])
 """Dashed, solid, dotted, dash and dot."""
 
 ZONE_MARKERS = ("s", "o", "^", "D", "v", "X")
 """Square, circle, triangle, diamond, triangle upside down, cross."""
-
-MIXED_COLOUR = "#999999"
-"""For regions that cover no zone well enough."""
 
 NAME_SIZE = 7
 """Points: the size of the names at lines' ends."""
@@ -220,11 +219,6 @@ def zone_style(zone: int) -> dict[str, Any]:
     if zone < 0:
         return {"color": MIXED_COLOUR, "linestyle": LINES[0]}
     return {"color": zone_colour(zone), "linestyle": ZONE_LINES[zone % len(ZONE_LINES)]}
-
-
-def zone_colour(zone: int) -> str:
-    """Return the colour of a zone; of what covers no zone for -1."""
-    return ZONE_COLOURS[zone % len(ZONE_COLOURS)] if zone >= 0 else MIXED_COLOUR
 
 
 def zone_marker(zone: int) -> str:

@@ -101,7 +101,26 @@ class Replay:
         check_count("decisions", self.decisions)
 
 
-Options = Resume | Compare | Figures | Replay
+@dataclass(frozen=True)
+class Export:
+    """Write a run for the Rerun viewer, or as a Minari data set."""
+
+    run_folder: Annotated[Path, POSITIONAL]
+    """The run folder."""
+    rerun: Path | None = None
+    """A file for the Rerun viewer, .rrd: world, robot, beams, toy, regions and progress over
+    time."""
+    minari: str | None = None
+    """A Minari data set of all transitions: a name, such as toyroom/curious-v0, or a folder that
+    begins with / or ./ and ends so, too."""
+    agent: int = 0
+    """Which robot of a population goes into the file for Rerun."""
+
+    def __post_init__(self) -> None:
+        check_count("agent", self.agent, least=0)
+
+
+Options = Resume | Compare | Figures | Replay | Export
 """The parsed options of any of these commands."""
 
 KINDS: dict[str, type[Options]] = {
@@ -109,6 +128,7 @@ KINDS: dict[str, type[Options]] = {
     "compare": Compare,
     "figures": Figures,
     "replay": Replay,
+    "export": Export,
 }
 """The commands by name."""
 
@@ -118,6 +138,7 @@ USAGE = {
     "compare": "FOLDER [OPTION ...] [-- OPTION_OF_TRAIN ...]",
     "figures": "RUN_FOLDER [OPTION ...]",
     "replay": "RUN_FOLDER [OPTION ...]",
+    "export": "RUN_FOLDER [OPTION ...]",
 }
 """Usage of each command, after its name."""
 

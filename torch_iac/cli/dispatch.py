@@ -5,9 +5,10 @@ from collections.abc import Sequence
 
 import gymnasium as gym
 
-from torch_iac.cli.commands import Compare, Figures, Options, Resume, split_at_dashes
+from torch_iac.cli.commands import Compare, Export, Figures, Options, Resume, split_at_dashes
 from torch_iac.cli.compare import compare
 from torch_iac.cli.exits import StoppedBySignalError, leave, one_line
+from torch_iac.cli.export import export
 from torch_iac.cli.options import Train
 from torch_iac.cli.replay import replay
 from torch_iac.cli.train import resume, train
@@ -39,6 +40,8 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
             resume(asked)
         elif isinstance(asked, Figures):
             draw(asked)
+        elif isinstance(asked, Export):
+            export(asked)
         else:
             replay(asked)
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:

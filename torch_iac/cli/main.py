@@ -22,6 +22,7 @@ COMMANDS = {
     "of MP.",
     "replay": "Film a robot of a run at stages of its development, with what it predicts and "
     "learns.",
+    "export": "Write a run for the Rerun viewer, or as a Minari data set.",
 }
 """The commands, each with what it does; its own help begins with the same sentence."""
 

@@ -115,6 +115,24 @@ def relive(
             yield Scene(stage, record.row(decision), _pictures(camera))
 
 
+def relive_states(run: Run, world: World, agent: int = 0) -> Iterator[Any]:
+    """Repeat all of a robot's recorded actions, and yield the world's state before each.
+
+    Args:
+        run: The run.
+        world: One world, as the robot's was.
+        agent: Which robot.
+
+    Raises:
+        ValueError: A sensor does not read what was recorded, or the agent's steps are not recorded.
+    """
+    record = _Record(run, agent)
+    record.begin(world)
+    for decision in range(run.n_decisions):
+        yield world_state(world)
+        record.live(world, decision)
+
+
 def _hand_over(world: World, camera: World) -> None:
     """Copy the state of the world to the camera's."""
     try:

@@ -23,6 +23,9 @@ ROWS_PER_PART = 2**19
 N_LOGGED_AGENTS = 64
 """Regions are logged for the first 64 agents."""
 
+TOLD = ("errors", "expected_errors", "regions", "zones")
+"""The fields of which TensorBoard is told."""
+
 DTYPES = {
     "random_actions": torch.bool,
     "errors": torch.float64,
@@ -67,6 +70,7 @@ class Rows:
         is_hybrid: bool = False,
     ) -> None:
         self.count, self.has_zones, self.last_decision = 0, has_zones, -1
+        self._n_before = 0  # decisions of the part before that were in the blocks
         self._seeds = np.array(seeds, np.int64)
         self._decisions = np.empty(capacity, np.int64)
         names = column_names(space, is_hybrid)
@@ -109,19 +113,32 @@ class Rows:
         self.count += 1
 
     def since(self, start: int) -> dict[str, NDArray[Any]]:
-        """Return errors and what MP expected of them, each `(T, A)`, from `start` on.
+        """Return the fields of `TOLD`, each `(T, A)`, from a decision in memory on.
 
         Of the first agents only, as many as TensorBoard needs.
         """
         kept = slice(start, self.count)
         return {
             field: self._blocks[field][kept, :N_LOGGED_AGENTS].numpy(force=True)
-            for field in ("errors", "expected_errors")
+            for field in TOLD
+            if field in self._blocks
         }
+
+    def last(self, n_decisions: int, field: str) -> NDArray[Any]:
+        """Return a field of the last decisions of all, shape `(T, A)`, in any order.
+
+        Those of the part before this one are there until they are overwritten; fewer come if that
+        is so, or if there are no more.
+        """
+        new = slice(max(0, self.count - n_decisions), self.count)
+        missing = n_decisions - (new.stop - new.start)
+        old = slice(max(self.count, self._n_before - missing), max(self.count, self._n_before))
+        block = self._blocks[field]
+        return np.concatenate([block[of].numpy(force=True) for of in (old, new)])
 
     def clear(self) -> None:
         """Forget all."""
-        self.count = 0
+        self.count, self._n_before = 0, self.count
 
     def state(self) -> dict[str, Any]:
         """Return what is kept."""
@@ -135,6 +152,7 @@ class Rows:
     def load_state(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` returned."""
         self.last_decision, self.count = state["last_decision"], len(state["decisions"])
+        self._n_before = 0
         self._decisions[: self.count] = state["decisions"]
         for field, block in self._blocks.items():
             block[: self.count] = state["blocks"][field]

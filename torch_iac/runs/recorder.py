@@ -29,6 +29,7 @@ from torch_iac.internal.torch_defaults import with_torch_defaults
 from torch_iac.internal.validation import check_count
 from torch_iac.records import Genealogy, RegionSummary, Step
 from torch_iac.runs.buffer import N_LOGGED_AGENTS, ROWS_PER_PART, Rows, decisions_per_part
+from torch_iac.runs.present import present_line
 from torch_iac.runs.reader import load_run
 from torch_iac.runs.schema import (
     CONFIG,
@@ -180,7 +181,7 @@ class Recorder:
         self._first_decision = -1  # from which windows are counted
         self._n_parts = self._n_told = 0
         self._dashboard = Dashboard(
-            self.folder, min(N_LOGGED_AGENTS, n_agents), self._zone_names, shadows
+            self.folder, agent.space, min(N_LOGGED_AGENTS, n_agents), self._zone_names, shadows
         )
         self._started = time.perf_counter()
 
@@ -243,6 +244,19 @@ class Recorder:
             self._dashboard.log(n_decisions, summary, self._agent.genealogy)
         if self._rows.is_full:
             self.flush()
+
+    @with_torch_defaults
+    def present(self) -> str:
+        """Return what the robots did in the last `WINDOW` decisions and where they learn most now.
+
+        A line of text; nothing before the first decision.
+        """
+        errors = self._rows.last(WINDOW, "errors")
+        if not len(errors):
+            return ""
+        zones = self._rows.last(WINDOW, "zones") if self._rows.has_zones else None
+        regions = self._agent.region_summary(N_LOGGED_AGENTS)
+        return present_line(errors, zones, self._zone_names, regions, self._dashboard.zone_of)
 
     @with_torch_defaults
     def flush(self) -> None:
