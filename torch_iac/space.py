@@ -5,6 +5,7 @@ Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dime
 """
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Self
@@ -30,7 +31,8 @@ class Dimension:
         high: Its greatest value, in raw units.
 
     Raises:
-        ValueError: The bounds are not finite, not in order, or too large or too close for float32.
+        ValueError: The bounds are no numbers, not finite, not in order, or too large or too close
+            for float32.
     """
 
     name: str
@@ -38,6 +40,8 @@ class Dimension:
     high: float
 
     def __post_init__(self) -> None:
+        for bound in ("low", "high"):
+            object.__setattr__(self, bound, _plain(self.name, getattr(self, bound)))
         bounds = f"[{self.low}, {self.high}]"
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ValueError(f"the bounds of {self.name} must be finite and in order, got {bounds}")
@@ -152,6 +156,14 @@ class SensorimotorSpace:
                 for kind in ("actions", "sensors", "outcomes")
             )
         )
+
+
+def _plain(name: str, bound: Any) -> float:
+    """Return a bound as Python's own number; numpy's are taken for what they are."""
+    number = bound.item() if np.ndim(bound) == 0 and hasattr(bound, "item") else bound
+    if type(number) not in (int, float):
+        raise ValueError(f"the bounds of {name} must be numbers, got {bound!r:.80}")
+    return float(number) if abs(number) <= sys.float_info.max else math.copysign(math.inf, number)
 
 
 def _dimensions(env: WorldOrWorlds, kind: str) -> tuple[Dimension, ...]:

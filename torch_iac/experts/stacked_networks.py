@@ -19,7 +19,7 @@ from torch.func import functional_call, vmap
 from torch_iac.internal import kernels
 from torch_iac.internal.losses import LOSSES, Loss
 from torch_iac.internal.state import Stateful, reserve
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 
 Factory = Callable[[int, int], nn.Module]
 """Makes a network from its numbers of inputs and outputs."""
@@ -50,6 +50,7 @@ class MLP:
     """Units of each hidden layer."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if any(units < 1 for units in self.hidden):
             raise ValueError(f"hidden must be at least 1 unit a layer, got {self.hidden}")
         for units in self.hidden:
@@ -87,6 +88,7 @@ class Training:
     """Adam (Kingma and Ba, 2015) with its usual constants, or plain gradient descent."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not 0 < self.learning_rate < math.inf:
             raise ValueError(f"learning_rate must be above 0, got {self.learning_rate}")
         if self.learning_rate > MOST_RATE:
@@ -95,8 +97,6 @@ class Training:
             )
         for name in ("minibatches", "minibatch_size"):
             check_count(name, getattr(self, name))
-        if self.optimizer not in ("adam", "sgd"):
-            raise ValueError(f"optimizer must be adam or sgd, got {self.optimizer}")
 
 
 class StackedNetworks(Stateful):
