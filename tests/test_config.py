@@ -76,3 +76,12 @@ def test_networks_have_the_numbers_that_the_results_were_measured_with() -> None
         "memory": 600,
         "bins": 16,
     }
+
+
+def test_equal_configs_have_equal_hashes() -> None:
+    one, other = (IACConfig(shadows={"b": MLPExperts(hidden=hidden)}) for hidden in ((8,), [8]))  # type: ignore[arg-type]
+    assert one == other
+    assert hash(one) == hash(other)
+    assert {IACConfig(), *PRESETS.values()} == set(PRESETS.values())
+    with pytest.raises(TypeError):
+        one.shadows["c"] = MLPExperts()  # type: ignore[index]

@@ -53,7 +53,8 @@ experiments = st.builds(
     steps=counts,
     outcomes=st.lists(st.text()),
     world_options=st.dictionaries(
-        st.text(), st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False)
+        st.text(),
+        st.none() | st.booleans() | st.integers() | st.floats(-9, 9) | st.lists(st.text()),
     ),
     hold=st.integers(1, 1000),
     sensor_bounds=st.dictionaries(st.text(), st.tuples(st.floats(-9, 0), st.floats(1, 9))),
@@ -200,6 +201,19 @@ def test_a_run_of_a_loop_of_ones_own_is_no_experiment(tmp_path: Path) -> None:
     write_run(tmp_path / "a")
     with pytest.raises(ValueError, match="must be the run of an experiment"):
         iac.resume(tmp_path / "a")
+
+
+def test_equal_experiments_have_equal_hashes() -> None:
+    one, other = (
+        Experiment(world_options=dict(pairs), sensor_bounds={"x": bounds}, seeds=seeds)  # type: ignore[dict-item]
+        for pairs, bounds, seeds in (
+            ([("a", [1]), ("b", 2)], (0, 1), range(2)),
+            ([("b", 2), ("a", (1,))], [0.0, 1.0], [0, 1]),
+        )
+    )
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one.to_json() == other.to_json()
 
 
 def test_every_field_says_what_it_is() -> None:

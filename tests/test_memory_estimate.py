@@ -17,6 +17,7 @@ from torch_iac import (
     memory_estimate,
 )
 from torch_iac.memory_estimate import check_memory, check_world_memory, free_memory, memory_needed
+from torch_iac.runs.buffer import recording_bytes
 
 N_AGENTS, N_DECISIONS = 64, 300
 KNN = IACConfig(max_examples=40, n_candidates=5)
@@ -62,15 +63,20 @@ def test_the_estimate_is_above_what_agents_keep_and_not_far(
     need = memory_needed(space, CONFIGS[name], N_AGENTS, N_DECISIONS)
     assert kept <= need.tables <= 3 * kept
     assert need.tables + need.working <= need.on_device
-    assert (need.recorded, need.on_host) == (0, 0)
+    assert need.recording == (0, 0)
 
 
 def test_more_of_anything_needs_more(space: SensorimotorSpace) -> None:
     config = CONFIGS["knn"]
-    least = memory_needed(space, config, 10, 100, 1)
+
+    def needed(n_agents: int, n_decisions: int, n_recorded: int) -> int:
+        recording = recording_bytes(space, config, n_decisions, n_recorded)
+        need = memory_needed(space, config, n_agents, n_decisions, recording)
+        return need.on_device + need.recording.on_host
+
+    least = needed(10, 100, 1)
     for more in ((20, 100, 1), (10, 1000, 1), (10, 100, 10)):
-        need = memory_needed(space, config, *more)
-        assert need.on_device + need.on_host > least.on_device + least.on_host, more
+        assert needed(*more) > least, more
 
 
 @pytest.mark.parametrize("place", ["cpu", "cuda:1"])
@@ -80,13 +86,21 @@ def test_what_will_not_fit_is_refused_with_both_numbers(
     free = {place: 10**7}
     monkeypatch.setattr(memory_estimate, "free_memory", lambda device: free.get(str(device)))
     device = torch.device(place)
-    check_memory(space, CONFIGS["knn"], 4, 1000, 4, device)
+    check_memory(space, CONFIGS["knn"], 4, 1000, device)
     message = (
         r"a run must fit into memory: 4,000 agents and 1,000 decisions need about \d\.\d GB on "
         rf"{place}, got 0\.0 GB free; lower agents, steps or max_examples"
     )
     with pytest.raises(ValueError, match=message):
-        check_memory(space, CONFIGS["knn"], 4000, 1000, 64, device)
+        check_memory(space, CONFIGS["knn"], 4000, 1000, device)
+
+
+def test_agents_alone_that_will_not_fit_are_refused_before_anything_is_made(
+    space: SensorimotorSpace,
+) -> None:
+    message = r"10,000,000,000 agents need about \d+\.\d GB on cpu, got .* lower agents or max_ex"
+    with pytest.raises(ValueError, match=message):
+        IAC(space, CONFIGS["mp"], range(10**10))
 
 
 def test_worlds_and_records_need_the_main_memory(
@@ -95,11 +109,11 @@ def test_worlds_and_records_need_the_main_memory(
     monkeypatch.setattr(
         memory_estimate, "free_memory", lambda on: 10**12 if on.type == "cuda" else 10**7
     )
-    few, run = 10, (space, CONFIGS["knn"], 4000, 1000)
-    gpu = torch.device("cuda")
-    check_memory(*run, few, gpu)
+    run = (space, CONFIGS["knn"], 4000, 1000, torch.device("cuda"))
+    few, many = (recording_bytes(space, CONFIGS["knn"], 1000, n) for n in (10, 4000))
+    check_memory(*run, few)
     with pytest.raises(ValueError, match="GB on cpu, got"):
-        check_memory(*run, 4000, gpu)
+        check_memory(*run, many)
     check_world_memory(100, 10**4)
     with pytest.raises(ValueError, match=r"4,000 worlds need about .* on cpu, got"):
         check_world_memory(4000, 10**4)
@@ -109,7 +123,7 @@ def test_where_free_memory_is_not_known_nothing_is_refused(
     space: SensorimotorSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memory_estimate, "free_memory", lambda _: None)
-    check_memory(space, CONFIGS["knn"], 10**9, 10**9, 1, torch.device("cpu"))
+    check_memory(space, CONFIGS["knn"], 10**9, 10**9, torch.device("cpu"))
     assert free_memory(torch.device("meta")) is None
 
 

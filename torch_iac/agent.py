@@ -1,6 +1,6 @@
 """The agent: a population of curious robots that act, observe and learn."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -19,6 +19,8 @@ from torch_iac.internal.randomness import RandomStream
 from torch_iac.internal.scaling import Scale, action_scale
 from torch_iac.internal.state import State, Stateful
 from torch_iac.internal.torch_defaults import with_torch_defaults
+from torch_iac.internal.validation import settled
+from torch_iac.memory_estimate import check_agents_memory
 from torch_iac.records import Genealogy, RegionSummary, ShadowStep, Step
 from torch_iac.regions.cuts import best_cut
 from torch_iac.regions.error_history import ErrorHistory
@@ -108,7 +110,7 @@ class IAC(Stateful):
         seeds: Sequence[int] = (0,),
         device: torch.device | str = "cpu",
     ) -> None:
-        if isinstance(seeds, (int, str)):
+        if isinstance(seeds, str) or not isinstance(seeds, Sized):
             raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}")
         if not len(seeds):
             raise ValueError("seeds must name at least one agent, got none")
@@ -116,8 +118,9 @@ class IAC(Stateful):
             config.drive.columns(space)  # checked now, not when the stage begins
         self.space = space
         self.config = config = config or IACConfig()
-        self.seeds = tuple(int(seed) for seed in seeds)
         self.device = available_device(device)
+        check_agents_memory(space, config, len(seeds), self.device)
+        self.seeds = settled("seeds", seeds, tuple[int, ...])
         self.n_decisions = 0
         # On a GPU sensors are checked in `_judge`, with the one transfer of a decision.
         self._asks_late = self.device.type != "cpu"

@@ -12,7 +12,7 @@ from torch_iac.drives.protocol import Drive
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.protocol import Experts
 from torch_iac.internal.parts import build, from_json, to_json
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 from torch_iac.kinds import KINDS, PARTS, named
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 
@@ -74,13 +74,12 @@ class IACConfig:
             elif not isinstance(value, protocol):
                 name = protocol.__name__
                 raise ValueError(f"{kind} must have what {name} has, got {value!r:.80}")
+        settle(self)
         for name in ("n_candidates", "max_examples", "window", "delay"):
             check_count(name, getattr(self, name), least=2 if name == "max_examples" else 1)
         for name, high in (("epsilon", 1), ("balance", 0.5)):
             if not 0 <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must lie in [0, {high}], got {getattr(self, name)}")
-        if self.error not in ("absolute", "squared"):
-            raise ValueError(f"error must be absolute or squared, got {self.error}")
         for part in ("meta", "improvement"):
             if part in self.drive.needs and getattr(self, part) is None:
                 drive = type(self.drive).__name__

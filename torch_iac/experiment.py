@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
@@ -21,13 +21,14 @@ from torch_iac.internal.devices import available_device
 from torch_iac.internal.files import parse_json
 from torch_iac.internal.parts import build, make_importable
 from torch_iac.internal.processor import described, processor, rounds_alike
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, jsonable, settle
 from torch_iac.memory_estimate import check_memory, check_world_memory
+from torch_iac.runs.buffer import recording_bytes
 from torch_iac.runs.checkpoint import Checkpoints, identity
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.recorder import KEYS, Recorder
 from torch_iac.runs.schema import CHECKPOINTS, CONFIG, SUMMARY
-from torch_iac.space import SensorimotorSpace
+from torch_iac.space import Dimension, SensorimotorSpace
 from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY, train
 from torch_iac.worlds.bounds import Bounds, bounds_of, recorded_bounds
@@ -125,6 +126,7 @@ class Experiment:
     Their errors go into generalisation.parquet."""
 
     def __post_init__(self) -> None:
+        self._settle()
         for name in ("steps", "log_every", "checkpoint_every", "recorded_agents"):
             check_count(name, getattr(self, name))
         for name, most in (("hold", MOST_HOLD), ("bounds_from", MOST_BOUNDS_FROM)):
@@ -137,16 +139,21 @@ class Experiment:
             raise ValueError(
                 f"test_every must be 0 outside of the toy rooms, got {self.test_every}"
             )
-        for name in ("seeds", "outcomes"):
-            if isinstance(getattr(self, name), (int, str)):
-                raise ValueError(f"{name} must be a list, got {getattr(self, name)!r}")
-            object.__setattr__(self, name, _tuple(name, getattr(self, name)))
         if not self.seeds:
             raise ValueError("seeds must name at least one robot, got none")
         for seed in (min(self.seeds), max(self.seeds)):
             if not 0 <= seed < SEEDS:
                 raise ValueError(f"seed must lie in [0, {SEEDS}), got {seed}")
         IACConfig.from_json(self.config.to_json())  # refuses what cannot be made again
+
+    def _settle(self) -> None:
+        """Let every field hold what its annotation says."""
+        if isinstance(self.seeds, Sized) and len(self.seeds) > MOST_SEEDS:
+            raise ValueError(f"seeds must be at most {MOST_SEEDS:,}, got {len(self.seeds):,}")
+        object.__setattr__(self, "world_options", jsonable("world_options", self.world_options))
+        settle(self)
+        for name, bounds in self.sensor_bounds.items():
+            Dimension(name, *bounds)  # refuses invalid bounds
 
     def to_json(self) -> dict[str, Any]:
         """Return all fields as JSON can hold them."""
@@ -343,7 +350,8 @@ class Experiment:
             try:
                 space = self.space_of(world)
                 n_recorded = self._n_recorded() if earlier is None else earlier.n_recorded
-                check_memory(space, self.config, n_agents, self.steps, n_recorded, device)
+                recording = recording_bytes(space, self.config, self.steps, n_recorded)
+                check_memory(space, self.config, n_agents, self.steps, device, recording)
                 if earlier is None:
                     self._say_what_was_found(world, bounds)
                 # A world that cannot begin leaves no run folder.
@@ -557,13 +565,6 @@ def _new_folder(world: str) -> Path:
     """Return a run folder in runs/, named by the time and the world."""
     name = re.sub(r"[^\w.-]", "-", world)
     return Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{name}"
-
-
-def _tuple(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
-    # Checked before a huge range becomes a tuple.
-    if len(values) > MOST_SEEDS:
-        raise ValueError(f"{name} must be at most {MOST_SEEDS:,}, got {len(values):,}")
-    return tuple(values)
 
 
 def _description(bounds: Bounds | None) -> dict[str, Any]:

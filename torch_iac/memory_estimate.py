@@ -1,4 +1,4 @@
-"""Memory that a run will need, estimated before it begins, and free memory.
+"""Memory that agents and a run of theirs will need, estimated before they begin, and free memory.
 
 Memory grows with the leaves of the region trees, and those with decisions. Tables double when they
 are full.
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
@@ -19,7 +20,6 @@ from torch_iac.experts.network import MLPExperts, NetworkExperts, NetworkTrainin
 from torch_iac.experts.protocol import Experts
 from torch_iac.experts.stacked_networks import Training
 from torch_iac.internal.randomness import block_size
-from torch_iac.runs.buffer import decisions_per_part, row_bytes
 from torch_iac.space import SensorimotorSpace
 
 MARGIN = 1.2
@@ -38,9 +38,6 @@ CANDIDATE_BYTES = 200
 DRAW_BYTES = 24
 """Peak temporary bytes of a random number."""
 
-READ_BYTES = 64
-"""Bytes per recorded row while the summary is made, at the end."""
-
 GROUPS = (
     ("/sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
     (
@@ -54,6 +51,22 @@ GROUPS = (
 memory that could be reclaimed."""
 
 
+class Recording(NamedTuple):
+    """The memory for the records of a run, in bytes.
+
+    Attributes:
+        kept: The decisions that are not yet on disk, where the agents are.
+        on_host: In the main memory, to write and to sum up the records.
+    """
+
+    kept: int = 0
+    on_host: int = 0
+
+
+NOTHING = Recording()
+"""What a run needs for its records without any."""
+
+
 @dataclass(frozen=True)
 class Need:
     """The memory of a run, in bytes.
@@ -61,19 +74,17 @@ class Need:
     Attributes:
         tables: What the agents keep, where they are.
         working: Their peak temporary bytes, there too.
-        recorded: The decisions that are not yet on disk, there too.
-        on_host: In the main memory, to write and to sum up the records.
+        recording: That for the records.
     """
 
     tables: int
     working: int
-    recorded: int
-    on_host: int
+    recording: Recording
 
     @property
     def on_device(self) -> int:
         """All that is needed on the agents' device."""
-        return int(MARGIN * (self.tables + self.working + self.recorded))
+        return int(MARGIN * (self.tables + self.working + self.recording.kept))
 
 
 @dataclass(frozen=True)
@@ -96,29 +107,47 @@ def check_memory(
     config: IACConfig,
     n_agents: int,
     n_decisions: int,
-    n_recorded: int,
     device: torch.device,
+    recording: Recording = NOTHING,
 ) -> None:
-    """Refuse robots that will not fit into memory; where free memory is not known, refuse none.
+    """Refuse a run that will not fit into memory; where free memory is not known, refuse none.
 
     Args:
         space: What the robots do, sense and predict.
         config: The numbers of the algorithm.
         n_agents: How many robots.
         n_decisions: How many decisions each takes.
-        n_recorded: Of how many every decision is recorded.
         device: Where the robots are.
+        recording: What their records need.
 
     Raises:
         ValueError: It will not fit; the message says what is needed and what is free.
     """
-    need = memory_needed(space, config, n_agents, n_decisions, n_recorded)
-    needed = {"cpu": need.on_host}
+    need = memory_needed(space, config, n_agents, n_decisions, recording)
+    needed = {"cpu": recording.on_host}
     place = "cpu" if device.type == "cpu" else str(device)
     needed[place] = needed.get(place, 0) + need.on_device
     who = f"{n_agents:,} agents and {n_decisions:,} decisions"
     for place, n_bytes in needed.items():
         _check_fits(who, n_bytes, torch.device(place), "agents, steps or max_examples")
+
+
+def check_agents_memory(
+    space: SensorimotorSpace, config: IACConfig, n_agents: int, device: torch.device
+) -> None:
+    """Refuse agents whose tables will not fit into memory, even before their first region splits.
+
+    Args:
+        space: What they do, sense and predict.
+        config: The numbers of the algorithm.
+        n_agents: How many.
+        device: Where they are.
+
+    Raises:
+        ValueError: They will not; the message says what is needed and what is free.
+    """
+    n_bytes = int(MARGIN * memory_needed(space, config, n_agents, n_decisions=1).tables)
+    _check_fits(f"{n_agents:,} agents", n_bytes, device, "agents or max_examples")
 
 
 def check_world_memory(n_worlds: int, world_bytes: int) -> None:
@@ -148,7 +177,7 @@ def memory_needed(
     config: IACConfig,
     n_agents: int,
     n_decisions: int,
-    n_recorded: int | None = None,
+    recording: Recording = NOTHING,
 ) -> Need:
     """Return about how much memory a run needs; experts of an unknown kind count as nothing.
 
@@ -157,27 +186,18 @@ def memory_needed(
         config: The numbers of the algorithm.
         n_agents: How many robots.
         n_decisions: How many decisions each takes.
-        n_recorded: Of how many every decision is recorded; of none if not given.
+        recording: What their records need; nothing if not given.
     """
     dims = len(space.situation), len(space.outcomes)
     capacity = 2 ** (_n_leaves(config, n_decisions) - 1).bit_length()  # rows double
     drawn = _numbers_drawn(config, len(space.actions), n_agents)
     # While the largest column doubles, its old half is there too.
     doubling = (capacity // 2) * dims[0] * (config.max_examples + 1) * 4 if capacity > 1 else 0
-    n_rows = n_block = 0
-    if n_recorded:
-        n_rows = n_decisions * n_recorded
-        n_block = min(n_decisions, decisions_per_part(n_recorded)) * n_recorded
-    block = n_block * row_bytes(
-        space, tuple(config.shadows), isinstance(config.experts, HybridExperts)
-    )
     leaves = capacity * _leaf_bytes(config, *dims)
     return Need(
         tables=n_agents * (leaves + _agent_bytes(config, dims[0])) + 4 * sum(drawn),
         working=n_agents * max(doubling, *_working_bytes(config, space)) + DRAW_BYTES * max(drawn),
-        recorded=block,
-        # A part is written from a copy; in the end all that was recorded is read for the summary.
-        on_host=max(2 * block, n_rows * READ_BYTES),
+        recording=recording,
     )
 
 

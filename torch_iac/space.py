@@ -5,6 +5,7 @@ Shapes, here and in every module: `A` agents, `C` candidates, `D` situation dime
 """
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, Self
@@ -42,8 +43,8 @@ class Dimension:
             them is one.
 
     Raises:
-        ValueError: The bounds are not finite, not in order, or too large or too close for float32,
-            or the number of values is below 2 or above `MOST_VALUES`.
+        ValueError: The bounds are no numbers, not finite, not in order, or too large or too close
+            for float32, or the number of values is below 2 or above `MOST_VALUES`.
     """
 
     name: str
@@ -52,12 +53,15 @@ class Dimension:
     n_values: int | None = None
 
     def __post_init__(self) -> None:
+        for bound in ("low", "high"):
+            object.__setattr__(self, bound, _bound(self.name, getattr(self, bound)))
+        object.__setattr__(self, "n_values", _plain(self.n_values))
         bounds = f"[{self.low}, {self.high}]"
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ValueError(f"the bounds of {self.name} must be finite and in order, got {bounds}")
         largest, apart = max(abs(self.low), abs(self.high)), self.high - self.low
         if self.n_values is not None:
-            if not 2 <= self.n_values <= MOST_VALUES:
+            if type(self.n_values) is not int or not 2 <= self.n_values <= MOST_VALUES:
                 raise ValueError(
                     f"the values of {self.name} must number from 2 to {MOST_VALUES:,}, "
                     f"got {self.n_values}"
@@ -177,6 +181,19 @@ class SensorimotorSpace:
                 for kind in ("actions", "sensors", "outcomes")
             )
         )
+
+
+def _plain(number: Any) -> Any:
+    """Return a number as Python's own; numpy's are taken for what they are."""
+    return number.item() if np.ndim(number) == 0 and hasattr(number, "item") else number
+
+
+def _bound(name: str, bound: Any) -> float:
+    """Return a bound as Python's own number."""
+    number = _plain(bound)
+    if type(number) not in (int, float):
+        raise ValueError(f"the bounds of {name} must be numbers, got {bound!r:.80}")
+    return float(number) if abs(number) <= sys.float_info.max else math.copysign(math.inf, number)
 
 
 def _numbers(dimension: Dimension) -> list[float]:

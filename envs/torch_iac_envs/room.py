@@ -99,6 +99,8 @@ def zone_ends(f1_end: float, f2_end: float) -> tuple[float, float]:
     Raises:
         ValueError: They lie outside [0, 1], or the first above the second.
     """
+    _check_kind("f1_end", f1_end)
+    _check_kind("f2_end", f2_end)
     if not 0 <= f1_end <= f2_end <= 1:
         raise ValueError(f"f1_end and f2_end must go up within [0, 1], got {f1_end} and {f2_end}")
     return float(np.float32(f1_end)), float(np.float32(f2_end))
@@ -128,6 +130,9 @@ def sensor_bounds(
     return np.array(low, np.float32), np.array(high, np.float32)
 
 
+WHOLE = "num_envs", "beams", "keyframe_every", "substeps", "width", "height"
+"""The arguments of a world that are whole numbers."""
+
 RANGES = {
     "num_envs": (1, math.inf),
     "beams": (0, 10_000),
@@ -142,13 +147,23 @@ RANGES = {
 
 
 def check_argument(name: str, value: float) -> None:
-    """Refuse an argument that is smaller or larger than it may be, or not a number.
+    """Refuse an argument that is smaller or larger than it may be, or not such a number.
 
     Raises:
-        ValueError: `value` is outside what `RANGES` has under `name`, infinite or NaN.
+        ValueError: `value` is outside what `RANGES` has under `name`, infinite, NaN, no number at
+            all, or not whole where it must be.
     """
     least, most = RANGES[name]
+    _check_kind(name, value)
     if not least <= value < math.inf:
         raise ValueError(f"{name} must be at least {least} and finite, got {value}")
     if value > most:
         raise ValueError(f"{name} must be at most {most}, got {value}")
+
+
+def _check_kind(name: str, value: object) -> None:
+    whole = (int, np.integer)
+    kind = whole if name in WHOLE else (*whole, float, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kind):
+        what = "a whole number" if name in WHOLE else "a number"
+        raise ValueError(f"{name} must be {what}, got {value!r:.80}")

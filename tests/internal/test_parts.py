@@ -3,9 +3,12 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from torch_iac.internal.parts import build, from_json, import_object, name_of, to_json
 
@@ -34,8 +37,8 @@ class Plain:
 class Keeping:
     """No dataclass, and something that would be lost."""
 
-    def __init__(self) -> None:
-        self.secret = 3
+    def __init__(self, secret: int = 3) -> None:
+        self.secret = secret
 
 
 def ring() -> int:
@@ -105,6 +108,42 @@ def test_what_cannot_be_made_is_refused_in_one_sentence(content: Any, sentence: 
 def test_what_would_be_lost_is_refused() -> None:
     with pytest.raises(ValueError, match=r"must be a dataclass .*\(secret\), got .*Keeping"):
         from_json(to_json(Keeping(), KINDS), KINDS)
+
+
+@dataclass(frozen=True)
+class Users:
+    """A user's own dataclass, which checks nothing."""
+
+    value: Any
+
+
+@pytest.mark.parametrize(
+    "number", [np.int64(9), np.float32(0.5), np.bool_(True), torch.tensor(9), np.array([9])]
+)
+def test_numbers_of_libraries_are_held_as_numbers(number: Any) -> None:
+    content = to_json(Users(number), KINDS)
+    assert json.loads(json.dumps(content))["value"] == number.item()
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (np.array([1, 2]), np.array([1, 3])),
+        (torch.tensor([1.0, 2.0]), torch.tensor([1.0, 3.0])),
+        (partial(max, 1), partial(max, 2)),
+        ({1, 2}, {1, 3}),
+        (b"a", b"b"),
+        (1j, 2j),
+        (Keeping(), Keeping(4)),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_what_json_cannot_hold_is_told_apart_and_never_made_again(one: Any, other: Any) -> None:
+    told = to_json(Users(one), KINDS)
+    assert json.dumps(told) == json.dumps(to_json(Users(one), KINDS))
+    assert told != to_json(Users(other), KINDS)
+    with pytest.raises(ValueError, match=r"value\.value must be a dataclass for its attributes"):
+        from_json(json.loads(json.dumps(told)), KINDS)
 
 
 @pytest.mark.parametrize("value", [lambda: 1, lambda: 2])

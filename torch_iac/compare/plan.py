@@ -15,6 +15,7 @@ from typing import Any, Literal, Self
 from torch_iac.experiment import Experiment
 from torch_iac.internal.files import dump_json, parse_json, sync, sync_names
 from torch_iac.internal.parts import make_importable
+from torch_iac.internal.validation import settle
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.schema import CONFIG, SUMMARY
 from torch_iac.runs.summary import N_AGENTS_LISTED
@@ -53,6 +54,7 @@ class Variant:
     words: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        settle(self)
         if not NAME.fullmatch(self.name) or self.name == FIGURES:
             raise ValueError(
                 f"a variant's name must be letters, digits and _.+=-, and not {FIGURES}, "
@@ -189,6 +191,7 @@ class Comparison:
     """The current folder then, where the user's own modules are searched."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not self.variants:
             raise ValueError("a comparison must have variants (--variant or --variants), got none")
         for name in (names := [variant.name for variant in self.variants]):

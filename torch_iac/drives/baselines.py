@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torch_iac.drives.protocol import Candidates, Knowledge, Need, known
 from torch_iac.internal import kernels
+from torch_iac.internal.validation import settle
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,7 @@ class Error:
     """Whose expectation: the mean of the region's last errors (0 without any), or MP's."""
 
     def __post_init__(self) -> None:
-        if self.source not in ("region", "meta"):
-            raise ValueError(f"source must be region or meta, got {self.source}")
+        settle(self)
 
     @property
     def needs(self) -> frozenset[Need]:

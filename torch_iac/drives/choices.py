@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_iac.internal import kernels
+from torch_iac.internal.validation import settle
 
 
 @runtime_checkable
@@ -75,6 +76,7 @@ class Softmax:
     """By how much more worth an action is e times as probable; for progress, in scaled units."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not 0 < self.temperature < math.inf:
             raise ValueError(f"temperature must be above 0 and finite, got {self.temperature}")
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from torch import Tensor
 
 from torch_iac.drives.protocol import Candidates, Knowledge, Need
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 from torch_iac.space import SensorimotorSpace
 
 
@@ -30,6 +30,7 @@ class Stage:
     """The decision at which the stage ends; the last stage never does."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ValueError(
                 f"a stage's low and high must be finite and in order, got {self.low} and "
@@ -60,6 +61,7 @@ class Curriculum:
     """What is trained, in order of time."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not self.stages:
             raise ValueError("stages must hold at least one stage, got none")
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_iac.experts.knn import KNNExperts
 from torch_iac.experts.network import MLPExperts, NetworkPool
 from torch_iac.internal.state import Stateful, reserve
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 from torch_iac.regions.examples import Examples
 from torch_iac.regions.tree import Split
 
@@ -44,6 +44,7 @@ class HybridExperts:
     """Over how many of a region's last errors the two are compared (this library's choice)."""
 
     def __post_init__(self) -> None:
+        settle(self)
         check_count("recent", self.recent)
 
     def pool(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_iac.internal import kernels
 from torch_iac.internal.state import Stateful
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 from torch_iac.regions.examples import NO_EXAMPLE_OUTCOME, Examples, RegionExamples
 from torch_iac.regions.tree import Split
 
@@ -35,6 +35,7 @@ class KNNExperts(Stateful):
     """How many neighbours are averaged (the papers do not say)."""
 
     def __post_init__(self) -> None:
+        settle(self)
         check_count("k", self.k)
 
     def pool(

@@ -7,7 +7,7 @@ from itertools import pairwise
 import torch
 from torch import nn
 
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class MLP:
     """Units of each hidden layer."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if any(units < 1 for units in self.hidden):
             raise ValueError(f"hidden must be at least 1 unit a layer, got {self.hidden}")
         for units in self.hidden:

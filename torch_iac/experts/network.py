@@ -39,8 +39,6 @@ class NetworkTraining(Training):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.children not in ("copy", "fresh"):
-            raise ValueError(f"children must be copy or fresh, got {self.children}")
         check_count("fresh_minibatches", self.fresh_minibatches, least=0)
 
 

@@ -26,7 +26,7 @@ from torch_iac.experts.modules import (
 from torch_iac.internal import kernels
 from torch_iac.internal.losses import LOSSES, Loss, squared_error
 from torch_iac.internal.state import Stateful, reserve
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settle
 
 ELEMENTWISE = (nn.ReLU, nn.LeakyReLU, nn.ELU, nn.GELU, nn.SiLU, nn.Softplus, nn.Tanh, nn.Sigmoid)
 """Elementwise layers."""
@@ -59,6 +59,7 @@ class Training:
     """Adam (Kingma and Ba, 2015) with its usual constants, or plain gradient descent."""
 
     def __post_init__(self) -> None:
+        settle(self)
         if not 0 < self.learning_rate < math.inf:
             raise ValueError(f"learning_rate must be above 0, got {self.learning_rate}")
         if self.learning_rate > MOST_RATE:
@@ -67,8 +68,6 @@ class Training:
             )
         for name in ("minibatches", "minibatch_size"):
             check_count(name, getattr(self, name))
-        if self.optimizer not in ("adam", "sgd"):
-            raise ValueError(f"optimizer must be adam or sgd, got {self.optimizer}")
 
 
 class StackedNetworks(Stateful):

@@ -5,6 +5,7 @@ function is `{"object": "my_module:MyNet"}`. Nothing is imported, and so no code
 until `from_json` is asked for the object.
 """
 
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -14,30 +15,35 @@ from typing import Any, get_type_hints
 
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
+from torch_iac.internal.validation import plain
+
 KIND, OBJECT, LOST = "kind", "object", "lost"
-"""Keys: the class of a dataclass; a class or function itself; attributes that JSON lacks."""
+"""Keys: the class of an object; a class or function itself; what JSON lacks, in words."""
 
 
 def to_json(value: Any, kinds: Mapping[str, type]) -> Any:
     """Return a value as JSON can hold it; `from_json` refuses what this does not hold in full.
 
     Args:
-        value: A number, a text, None, a list, a tuple or a mapping by name of values, a dataclass
-            with such fields, an object without any attributes, a class or a function.
+        value: A number, also of numpy or PyTorch, a text, None, a list, a tuple or a mapping by
+            name of values, a dataclass with such fields, an object without any attributes, a class
+            or a function.
         kinds: The classes that are named without a module, by name.
     """
+    value = plain(value)
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, Mapping):
         return {name: to_json(part, kinds) for name, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [to_json(part, kinds) for part in value]
-    if isinstance(value, type) or not hasattr(value, "__dict__") or hasattr(value, "__qualname__"):
+    if isinstance(value, type) or hasattr(value, "__qualname__"):
         return {OBJECT: name_of(value)}
     kind = type(value)
     name = kind.__name__ if kinds.get(kind.__name__) is kind else name_of(kind)
     if not is_dataclass(value):
-        return {KIND: name, LOST: list(vars(value))} if vars(value) else {KIND: name}
+        lost = _lost(value)
+        return {KIND: name, LOST: lost} if lost else {KIND: name}
     names = [field.name for field in fields(value) if field.init]
     return {KIND: name, **{field: to_json(getattr(value, field), kinds) for field in names}}
 
@@ -133,11 +139,29 @@ def import_object(name: Any, where: str = "value") -> Any:
     return found
 
 
+def _lost(value: Any) -> dict[str, str]:
+    """Return what an object has that its class alone does not make again, by name, in words."""
+    lost = vars(value) if hasattr(value, "__dict__") else {}
+    if not lost and not _is_empty(value):
+        lost = {"value": value}  # such as an array, a set or a functools.partial
+    # The words are compared where a checkpoint must fit: addresses differ from run to run.
+    return {name: re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part)) for name, part in lost.items()}
+
+
+def _is_empty(value: Any) -> bool:
+    try:
+        _, arguments, state = (*value.__reduce_ex__(2), None)[:3]
+    except TypeError:  # such as a lock or a generator, which are made of more than Python shows
+        return False
+    return arguments == (type(value),) and state is None
+
+
 def _made(kind: Any, parts: Mapping[str, Any], kinds: Mapping[str, type], where: str) -> Any:
     if LOST in parts:
+        names = ", ".join(parts[LOST]) if isinstance(parts[LOST], Mapping) else parts[LOST]
         raise ValueError(
-            f"{where} must be a dataclass for its attributes to be kept "
-            f"({', '.join(parts[LOST])}), got {kind}, which is none"
+            f"{where} must be a dataclass for its attributes to be kept ({names}), "
+            f"got {kind}, which is none"
         )
     if isinstance(kind, str) and ":" in kind:
         found = import_object(kind, where)

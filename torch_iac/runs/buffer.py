@@ -10,6 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torch_iac.config import IACConfig
+from torch_iac.experts.hybrid import HybridExperts
+from torch_iac.memory_estimate import Recording
 from torch_iac.records import Step
 from torch_iac.runs.schema import USED_NETWORK, column_names, shadow_error, shadow_names
 from torch_iac.space import SensorimotorSpace
@@ -19,6 +22,9 @@ DECISIONS_PER_PART = 2000
 
 ROWS_PER_PART = 2**19
 """At most so many rows, a decision of an agent each, are kept in memory."""
+
+READ_BYTES = 64
+"""Bytes per recorded row while the summary is made, at the end."""
 
 N_LOGGED_AGENTS = 64
 """Regions are logged for the first 64 agents."""
@@ -47,6 +53,24 @@ def row_bytes(space: SensorimotorSpace, shadows: Sequence[str], is_hybrid: bool 
     names = column_names(space, is_hybrid) | shadow_names(space, shadows)
     dtypes = _dtypes(shadows)
     return sum(len(n) * dtypes.get(field, torch.float32).itemsize for field, n in names.items())
+
+
+def recording_bytes(
+    space: SensorimotorSpace, config: IACConfig, n_decisions: int, n_recorded: int
+) -> Recording:
+    """Return how much memory the records of a run need.
+
+    Args:
+        space: What the agents do, sense and predict.
+        config: The numbers of the algorithm.
+        n_decisions: How many decisions each agent takes.
+        n_recorded: Of how many every decision is recorded.
+    """
+    is_hybrid = isinstance(config.experts, HybridExperts)
+    n_kept = min(n_decisions, decisions_per_part(n_recorded)) * n_recorded
+    kept = n_kept * row_bytes(space, tuple(config.shadows), is_hybrid)
+    # A part is written from a copy; in the end all that was recorded is read for the summary.
+    return Recording(kept, on_host=max(2 * kept, n_decisions * n_recorded * READ_BYTES))
 
 
 class Rows:

@@ -26,7 +26,7 @@ from torch_iac.experts.hybrid import HybridExperts
 from torch_iac.internal.files import dump_json, replace, write_table
 from torch_iac.internal.processor import processor
 from torch_iac.internal.torch_defaults import with_torch_defaults
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, whole
 from torch_iac.records import Genealogy, RegionSummary, Step
 from torch_iac.runs.buffer import N_LOGGED_AGENTS, ROWS_PER_PART, Rows, decisions_per_part
 from torch_iac.runs.present import present_line
@@ -144,7 +144,10 @@ class Recorder:
         for name, value in (("log_every", log_every), ("rows_per_part", rows_per_part)):
             check_count(name, value)
         n_agents = len(agent.seeds)
-        n_recorded = n_agents if n_recorded is None else n_recorded
+        n_recorded = n_agents if n_recorded is None else whole("n_recorded", n_recorded)
+        for seed in (min(agent.seeds), max(agent.seeds)):
+            if not -(2**63) <= seed < 2**63:
+                raise ValueError(f"seeds must fit into 64 bits to be recorded, got {seed}")
         if not 1 <= n_recorded <= n_agents:
             raise ValueError(f"n_recorded must lie in [1, {n_agents}], got {n_recorded}")
         shadows = tuple(agent.shadows)
