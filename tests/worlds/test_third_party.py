@@ -132,6 +132,17 @@ def test_what_the_robot_does_not_sense_is_said_once(
 
 
 @needs("minigrid")
+def test_what_was_sensed_of_pictures_and_clipped_is_filmed(tmp_path: Path) -> None:
+    words = ["--world", ROOMS, "--bounds-from=5", *SPLITTING]
+    run = train(tmp_path / "a", *words, steps=60)  # beyond the first episode, of 40 steps
+    sensed = run.columns(f"sensor/{sensor.name}" for sensor in run.space.sensors)[:, 0]
+    highs = np.array([sensor.high for sensor in run.space.sensors[4:]], np.float32)
+    assert (sensed[:, 4:] == highs).any()
+    answer = typed("replay", run.folder, "--at=50", "--decisions=1", "--out", tmp_path / "a.gif")
+    assert (answer.code, answer.err) == (0, "")
+
+
+@needs("minigrid")
 def test_a_comparison_may_be_about_an_encoder(tmp_path: Path) -> None:
     variants = ["--variant", "features:", "--variant", "pixels: --encoder pixels"]
     common = ["--", "--world", ROOMS, "--steps", "30", "--bounds-from", "20", *SPLITTING]

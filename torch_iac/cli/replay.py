@@ -6,6 +6,7 @@ from torch_iac.internal.bars import tqdm
 from torch_iac.replay.scenes import find_stages, relive, stages_at
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.toy_room import WORLDS
+from torch_iac.worlds.bounds import recorded_bounds
 from torch_iac.worlds.vector import World
 
 PICTURE_MODES = ("rgb_array_list", "rgb_array")
@@ -61,4 +62,6 @@ def _remake(run: Run) -> tuple[World, World]:
         raise ValueError(f"the world of {run.folder} draws no pictures, so it cannot be replayed")
     is_ours = experiment.world in WORLDS
     size = dict(zip(("width", "height"), ROOM, strict=True)) if is_ours else {}
-    return world, experiment.make_world(1, render_mode=modes[0], **size)
+    camera = experiment.make_world(1, render_mode=modes[0], **size)
+    bounds = recorded_bounds(run.config)  # sensors were clipped to them
+    return (world, camera) if bounds is None else (bounds.clip(world), bounds.clip(camera))

@@ -216,8 +216,8 @@ def _recorded(rows: pa.Table, kind: str, of: Sequence[Dimension]) -> NDArray[np.
 
 
 def _array(sensors: Any) -> NDArray[np.float32]:
-    """Return what the robot of a single world senses, shape `(S,)`."""
-    values: NDArray[np.float32] = torch.as_tensor(sensors).numpy(force=True)[0]
+    """Return what the robot of a single world senses, shape `(S,)`, as it is recorded."""
+    values: NDArray[np.float32] = torch.as_tensor(sensors).float().numpy(force=True)[0]
     return values
 
 
