@@ -107,6 +107,8 @@ def test_a_slider_works_in_the_page_as_it_is() -> None:
 
 
 def test_what_a_notebook_keeps_about_the_machine_is_left_out() -> None:
-    notebook = nbformat.v4.new_notebook(metadata={"kernelspec": KERNEL, "language_info": {}})
+    notebook = nbformat.v4.new_notebook(
+        metadata={"kernelspec": KERNEL, "language_info": {"name": "python", "version": "3"}}
+    )
     tidy(notebook)
     assert list(notebook.metadata) == ["kernelspec"]
