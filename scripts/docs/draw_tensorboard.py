@@ -120,7 +120,7 @@ def draw(pictures: Pictures) -> None:
     if browser is None:
         raise FileNotFoundError(f"one of {', '.join(BROWSERS)} must be installed")
     pictures.out.mkdir(parents=True, exist_ok=True)
-    with serve(pictures.runs) as address, browse(address, browser, 1280, 1080) as page:
+    with serve(pictures.runs) as address, browse(address, browser, 1400, 1460) as page:
         page.locator("image-card img").first.wait_for()
         page.get_by_role("button", name="Settings").first.click()  # which makes room
         _settle(page)

@@ -67,7 +67,7 @@ def test_the_version_is_that_of_the_package() -> None:
     ],
 )
 def test_a_mistyped_command_is_answered_with_what_was_perhaps_meant(words: str, end: str) -> None:
-    there = "train, resume, compare, figures, replay"
+    there = "train, resume, compare, figures, replay, export"
     sentence = f"the command must be one of {there}, {end} (see torch-iac --help)"
     answer = typed(*words.split())
     assert (answer.code, answer.out, answer.err) == (2, "", f"torch-iac: {sentence}\n")
