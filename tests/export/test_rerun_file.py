@@ -51,9 +51,9 @@ def test_a_file_holds_everything_on_one_time_line(run: Run, tmp_path: Path) -> N
     n_cuts = sum(row["split_step"] >= 0 for row in run.family(1).to_pylist())
     assert n_cuts > 0
     assert rows["/cuts"] == n_cuts
-    every = ("room/robot", "room/toy", "room/robot/beams", "regions", "progress/of_the_region")
-    every += ("error/main", "error/expected", "n_regions/n_regions", "actions/sound")
-    every += tuple(f"zones/{zone}" for zone in ZONES)
+    every = ["room/robot", "room/toy", "room/robot/beams", "regions", "progress/of_the_region"]
+    every += ["error/main", "error/expected", "n_regions/n_regions", "actions/sound"]
+    every += [f"zones/{zone}" for zone in ZONES]
     assert {rows[f"/{name}"] for name in every} == {N_DECISIONS}
 
 
