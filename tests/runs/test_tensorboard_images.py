@@ -134,7 +134,7 @@ def test_the_map_is_blue_where_errors_fall_and_vermillion_where_they_grow() -> N
     for kept, sign in ((falls, 1), (grows, -1)):
         kept.add(100, np.array([1, 3, 4]), np.full(3, sign * 0.2), np.ones(3))
     good, bad = (pixels(kept.draw_map(scene(100))) for kept in (falls, grows))
-    n_cells = 200 * 200
+    n_cells = SIZE[0] * SIZE[1] // 4
     assert n_like(good, GOOD) > n_cells > n_like(good, BAD)
     assert n_like(bad, BAD) > n_cells > n_like(bad, GOOD)
     assert good.shape == (*SIZE[::-1], 3)

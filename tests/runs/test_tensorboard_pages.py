@@ -91,7 +91,10 @@ def test_the_first_page_begins_with_what_robots_do_and_where_they_learn(page: Pa
     ]
     shown = groups.nth(1).locator(titles)
     expect(shown.nth(len(progress) + len(regions) - 1)).to_be_visible()
-    assert [title.strip() for title in shown.all_inner_texts()][:8] == [*progress, *regions]
+    assert [title.replace("\n", "") for title in shown.all_inner_texts()][:8] == [
+        *progress,
+        *regions,
+    ]
     expect(groups.nth(2).locator(titles)).to_have_count(0)  # closed, as are those below
 
 

@@ -191,7 +191,11 @@ def region_zones(run: Run, agent: int = 0) -> RegionZones:
 
 
 def decisions_by_region(regions: NDArray[np.int32]) -> dict[int, NDArray[np.int64]]:
-    """Return, for each region that ever predicted, the decisions in which it did."""
+    """Return, for each region that ever predicted, the decisions in which it did.
+
+    Args:
+        regions: Shape `(T,)`: the region that predicted at each decision.
+    """
     order = np.argsort(regions, kind="stable")
     names, starts = np.unique(regions[order], return_index=True)
     return dict(zip(names.tolist(), np.split(order, starts[1:]), strict=True))

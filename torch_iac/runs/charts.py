@@ -21,7 +21,7 @@ SIZE = (330, 212)
 """Width and height of a picture (pixels): TensorBoard's cards have so much room, and make larger
 ones smaller by leaving out pixels."""
 
-MARGINS = (40, 32, 62, 28)
+MARGINS = (40, 32, 62, 34)
 """Pixels to the left of the axes, above them, to the right and below."""
 
 FINER = 2
@@ -55,7 +55,7 @@ class Axis:
     label: str
 
     def place(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where values lie, from 0 at the beginning to 1 at the end."""
+        """Return where values, of any shape, lie: from 0 at the beginning to 1 at the end."""
         return np.asarray((values - self.low) / (self.high - self.low))
 
     def ticks(self) -> list[float]:

@@ -104,7 +104,7 @@ class Visits:
         return self._counts.copy()
 
     def load_state(self, state: NDArray[np.int64]) -> None:
-        """Go on from what `state` returned."""
+        """Go on from what `state` returned, shape `(R, Z)`."""
         self._counts = state.copy()
 
 
