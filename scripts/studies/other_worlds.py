@@ -21,7 +21,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac import Drive, Experiment, IACConfig, Progress, Random
-from torch_iac.analysis.bootstrap import band
+from torch_iac.analysis.intervals import PART, band
 from torch_iac.analysis.style import STYLE, ZONE_COLOURS, legend, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
@@ -158,7 +158,9 @@ def draw(runs: Sequence[Run], picture: Path) -> None:
             for place, posture in enumerate(POSTURES):
                 colour, robots = ZONE_COLOURS[place], of_parts[:, :, place]
                 panel.plot(middles, robots.mean(axis=1), color=colour, label=posture)
-                panel.fill_between(middles, *band(robots), color=colour, alpha=0.25, linewidth=0)
+                panel.fill_between(
+                    middles, *band(robots, PART), color=colour, alpha=0.25, linewidth=0
+                )
             panel.set_title(f"drive {drive}", fontsize=8)
         panels[0].set_ylim(0, 1)
         panels[0].yaxis.set_major_formatter(PercentFormatter(1.0))

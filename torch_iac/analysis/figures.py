@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from torch_iac.analysis.intervals import PART, band
 from torch_iac.analysis.region_history import ErrorCurve, error_curves, region_zones
 from torch_iac.analysis.style import (
     MIXED_COLOUR,
@@ -42,9 +43,6 @@ DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "
 
 MAX_POINTS = 400
 """A curve is drawn with at most so many points."""
-
-N_RESAMPLES = 1000
-"""Number of bootstrap resamples."""
 
 
 def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
@@ -122,8 +120,8 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
 def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     """Return figure 3: the share of its time that the robot spends in each zone, over time.
 
-    For several agents, recorded one by one or not, lines are means and bands their 95 % bootstrap
-    confidence intervals.
+    For several agents, recorded one by one or not, lines are means and bands their 95 % confidence
+    intervals (Student's t).
 
     Args:
         run: The run.
@@ -139,7 +137,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     window = min(window, run.n_decisions)
     shares = zone_shares(run, window)
     middles = (np.arange(len(shares)) + 0.5) * window
-    low, high = _confidence(shares)
+    low, high = band(shares.swapaxes(1, 2), PART)
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)
         for zone in range(len(run.zone_names)):
@@ -153,7 +151,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
             legend_line(zone_colour(zone), name) for zone, name in enumerate(run.zone_names)
         ]
         if run.n_agents > 1:
-            label = f"95 % bootstrap CI\nof the mean, {run.n_agents:,} agents"
+            label = f"95 % CI\nof the mean, {run.n_agents:,} agents"
             key.append(Patch(label=label, **band_style(MIXED_COLOUR)))
         legend(figure, key)
     return figure
@@ -292,20 +290,3 @@ def _points(curve: ErrorCurve) -> NDArray[np.float64]:
     n_points = len(curve.decisions)
     kept = np.unique(np.linspace(0, n_points - 1, min(n_points, MAX_POINTS)).round().astype(int))
     return np.stack([curve.decisions[kept], curve.mean_errors[kept]], axis=1)
-
-
-def _confidence(shares: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the 95 % bootstrap confidence interval of the mean over agents.
-
-    Args:
-        shares: Shape `(W, A, Z)`.
-
-    Returns:
-        Its lower and its upper end, each of shape `(W, Z)`.
-    """
-    n_agents = shares.shape[1]
-    rng = np.random.default_rng(0)
-    weights = rng.multinomial(n_agents, np.full(n_agents, 1 / n_agents), N_RESAMPLES) / n_agents
-    means = np.einsum("ra,waz->rwz", weights, shares, optimize=True)
-    low, high = np.percentile(means, [2.5, 97.5], axis=0)
-    return low, high
