@@ -15,10 +15,9 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import binomtest
 
-from torch_iac.analysis.bootstrap import Estimate, difference, mean
 from torch_iac.analysis.generalisation import F2, Transitions, plateau, tests_of
+from torch_iac.analysis.intervals import PART, Estimate, difference, mean, share
 from torch_iac.analysis.region_history import leaf_purity
 from torch_iac.runs.reader import Run
 from torch_iac.runs.statistics import focus_steps
@@ -58,7 +57,7 @@ class Claim:
         better: On which side of the bars it bears the claim out.
         bar: Where it is reproduced.
         lesser: Where it is partly reproduced.
-        unit: How it is written.
+        is_part: Whether it is a part of a whole, and is written in percent.
     """
 
     paper: Literal[2004, 2007]
@@ -69,7 +68,7 @@ class Claim:
     bar: float
     lesser: float
     needs: tuple[str, ...] = ()
-    unit: str = ".0%"
+    is_part: bool = True
 
     def verdict(self, found: Estimate) -> Verdict:
         """Return what a number says of the claim."""
@@ -82,18 +81,11 @@ class Claim:
         """Return in words where it is reproduced, and where partly."""
         sign = {"higher": "above", "lower": "below"}[self.better]
         ends = [self.bar] + [self.lesser] * (self.lesser != self.bar)
-        return f"{sign} {', '.join(format(end, self.unit) for end in ends)}"
+        return f"{sign} {', '.join(f'{end:.0%}' if self.is_part else f'{end:g}' for end in ends)}"
 
 
 def _verdict(is_above: bool, is_above_lesser: bool) -> Verdict:
     return "reproduced" if is_above else "partly" if is_above_lesser else "not"
-
-
-def share(happened: NDArray[np.bool_]) -> Estimate:
-    """Return which share of robots did something, with Wilson's interval; shape `(A,)`."""
-    n, n_happened = len(happened), int(happened.sum())
-    ends = binomtest(n_happened, n).proportion_ci(method="wilson")
-    return Estimate(n_happened / n, float(ends.low), float(ends.high), n)
 
 
 def ratio(one: Values, other: Values) -> Estimate:
@@ -101,12 +93,6 @@ def ratio(one: Values, other: Values) -> Estimate:
     found = difference(np.log(one), np.log(other))
     value, low, high = np.exp([found.value, found.low, found.high]).tolist()
     return Estimate(value, low, high, found.n)
-
-
-def in_words(found: Estimate, unit: str) -> str:
-    """Return a number and its interval."""
-    value, low, high = (format(of, unit) for of in (found.value, found.low, found.high))
-    return f"{value} ({low} to {high})"
 
 
 def each(runs: Sequence[Run], measure: Callable[[Run], Sequence[float] | NDArray[Any]]) -> Values:
@@ -271,7 +257,7 @@ def _scaled(values: NDArray[Any], dimensions: Sequence[Dimension]) -> Values:
 
 
 def _purity(group: Group) -> Estimate:
-    return mean(each(group["iac"], leaf_purity))
+    return mean(each(group["iac"], leaf_purity), PART)
 
 
 def _against(other: str, which: str) -> Callable[[Group], Estimate]:
@@ -335,11 +321,10 @@ CLAIMS = [
         2004,
         "It minimises the time in f1",
         "share of f1 after 1,000 decisions (random actions alone make 3.3 %)",
-        lambda group: mean(time_in(group["iac"], F1, SETTLING)),
+        lambda group: mean(time_in(group["iac"], F1, SETTLING), PART),
         "lower",
         0.05,
         0.1,
-        unit=".1%",
     ),
     Claim(
         2004,
@@ -349,7 +334,6 @@ CLAIMS = [
         "higher",
         0.05,
         0.01,
-        unit=".1%",
     ),
     Claim(
         2004,
@@ -370,7 +354,7 @@ CLAIMS = [
         1.2,
         1.0,
         ("global",),
-        ".2f",
+        is_part=False,
     ),
     Claim(
         2004,
@@ -381,7 +365,7 @@ CLAIMS = [
         1.1,
         1.0,
         ("global",),
-        ".2f",
+        is_part=False,
     ),
     Claim(
         2007,
@@ -396,7 +380,7 @@ CLAIMS = [
         2007,
         "After 3,000 decisions, 85 % of the time is in f2",
         "share of f2 after 3,000 decisions",
-        lambda group: mean(time_in(group["iac"], F2, LATE)),
+        lambda group: mean(time_in(group["iac"], F2, LATE), PART),
         "higher",
         0.8,
         0.5,
@@ -411,7 +395,7 @@ CLAIMS = [
             1.0,
             1.0,
             (other,),
-            ".2f",
+            is_part=False,
         )
         for other in ("random", "max")
         for which, where in (("met", MET), ("anywhere", ANYWHERE))
@@ -425,6 +409,6 @@ CLAIMS = [
         2.0,
         1.0,
         ("random",),
-        ".2f",
+        is_part=False,
     ),
 ]

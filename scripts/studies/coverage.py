@@ -18,11 +18,11 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from scripts.studies.claims import in_words, nearest
+from scripts.studies.claims import nearest
 from scripts.studies.reproduce_paper import BLOCKS, DRIVES, SETS, VARIANTS, runs_in
 from torch_iac import IAC, IACConfig
-from torch_iac.analysis.bootstrap import mean
 from torch_iac.analysis.generalisation import Transitions, errors_on, sets_aside
+from torch_iac.analysis.intervals import POSITIVE, in_words, mean
 from torch_iac.runs.reader import Run
 
 Values = NDArray[np.float64]
@@ -78,8 +78,8 @@ def row(run: Run, sets: Mapping[str, Transitions], n_robots: int) -> list[str]:
     cells = []
     for which in SETS:
         distances, errors = (of[:n_robots].mean(axis=1) for of in nearest(run, sets[which]))
-        cells += [in_words(mean(distances), ".3f"), in_words(mean(errors), ".4f")]
-        cells += [in_words(mean(errors_on(sets[which], of).absolute), ".4f") for of in agents]
+        cells += [in_words(mean(distances, POSITIVE)), in_words(mean(errors, POSITIVE))]
+        cells += [in_words(mean(errors_on(sets[which], of).absolute, POSITIVE)) for of in agents]
     return cells
 
 

@@ -2,13 +2,13 @@
 
     python -m scripts.studies.kinematic_learning
 
-As many robots are in each; prints, for each measure of their development, its mean in both rooms
-and the difference of the means, with bootstrap intervals of 95 %. Where the interval of the
+Robots with the same seeds are in each; prints, for each measure of their development, its mean in
+both rooms and the mean difference of the pairs, with intervals of 95 %. Where the interval of the
 difference holds 0, the rooms cannot be told apart by so many robots. Runs that are in the folder
 already are not run again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from scipy.stats import bootstrap
 
 import torch_iac as iac
+from torch_iac.analysis.intervals import PART, POSITIVE, Estimate, difference, in_words, mean, share
 from torch_iac.compare.engine import run_variants
 
 ROOMS = {"pybullet": "toyroom", "kinematic": "kinematic"}
@@ -28,14 +28,34 @@ BLOCK = 10
 """How many robots are one run."""
 
 Robot = dict[str, Any]
+Values = NDArray[np.float64]
 
-MEASURES: dict[str, Callable[[Robot], float | None]] = {
-    "share of f1 after 1,000": lambda robot: robot["settled_zone_shares"]["f1"],
-    "share of f2 after 1,000": lambda robot: robot["settled_zone_shares"]["f2"],
-    "share of f3 after 1,000": lambda robot: robot["settled_zone_shares"]["f3"],
-    "decision of the focus on f3": lambda robot: robot["focus"]["f3"],
-    "decision of the focus on f2": lambda robot: robot["focus"]["f2"],
-    "first cut is on the sound": lambda robot: robot["first_cut"]["dimension"] == "sound",
+
+def part(values: Values) -> Estimate:
+    """Return the mean of parts of a whole."""
+    return mean(values, PART)
+
+
+def decision(values: Values) -> Estimate:
+    """Return the mean of decisions at which something happened."""
+    return mean(values, POSITIVE)
+
+
+def robots_that_did(values: Values) -> Estimate:
+    """Return the share of robots with a 1, not a 0."""
+    return share(values == 1)
+
+
+MEASURES: dict[str, tuple[Callable[[Robot], float | None], Callable[[Values], Estimate]]] = {
+    "share of f1 after 1,000": (lambda robot: robot["settled_zone_shares"]["f1"], part),
+    "share of f2 after 1,000": (lambda robot: robot["settled_zone_shares"]["f2"], part),
+    "share of f3 after 1,000": (lambda robot: robot["settled_zone_shares"]["f3"], part),
+    "decision of the focus on f3": (lambda robot: robot["focus"]["f3"], decision),
+    "decision of the focus on f2": (lambda robot: robot["focus"]["f2"], decision),
+    "first cut is on the sound": (
+        lambda robot: robot["first_cut"]["dimension"] == "sound",
+        robots_that_did,
+    ),
 }
 
 
@@ -69,33 +89,17 @@ def main(study: Study) -> None:
         room: [robot for run in of for robot in run.summary["agents"]] for room, of in runs.items()
     }
     print(f"| {study.seeds} robots each | {' | '.join(ROOMS)} | difference |\n|---|---|---|---|")
-    for name, measure in MEASURES.items():
-        one, other = (known(map(measure, robots[room])) for room in ROOMS)
-        print(f"| {name} | {interval(one)} | {interval(other)} | {interval(other, one)} |")
+    for name, (measure, estimate) in MEASURES.items():
+        values = [values_of(robots[room], measure) for room in ROOMS]
+        both = np.isfinite(values).all(axis=0)  # a robot may never focus
+        cells = [in_words(estimate(of[np.isfinite(of)])) for of in values]
+        cells.append(in_words(difference(values[1][both], values[0][both])))
+        print(f"| {name} | {' | '.join(cells)} |")
 
 
-def known(values: Any) -> NDArray[np.float64]:
-    """Return the values that there are: a robot may never focus."""
-    return np.array([value for value in values if value is not None], dtype=np.float64)
-
-
-def interval(values: NDArray[np.float64], less: NDArray[np.float64] | None = None) -> str:
-    """Return a mean, or the difference of two, and its interval."""
-    samples = (values,) if less is None else (values, less)
-    if not all(map(len, samples)):
-        return "none did"
-    mean = values.mean() - (0.0 if less is None else less.mean())
-    if all(np.ptp(sample) == 0 for sample in samples):
-        return f"{mean:.4g}, in all"
-    found = bootstrap(samples, difference, vectorized=True, rng=np.random.default_rng(0))
-    low, high = found.confidence_interval
-    return f"{mean:.3g} ({low:.3g} to {high:.3g})"
-
-
-def difference(*samples: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Return the mean of the first sample, less that of the second if there is one."""
-    means = [np.asarray(sample.mean(axis=axis)) for sample in samples]
-    return means[0] - means[1] if len(means) > 1 else means[0]
+def values_of(robots: Sequence[Robot], measure: Callable[[Robot], float | None]) -> Values:
+    """Return a measure of each robot; NaN where there is none."""
+    return np.array([measure(robot) for robot in robots], dtype=np.float64)
 
 
 if __name__ == "__main__":

@@ -31,8 +31,8 @@ from scripts.studies.reproduce_paper import (
     when_reached,
 )
 from torch_iac import HybridExperts, MLPExperts, load_agent
-from torch_iac.analysis.bootstrap import difference, mean
 from torch_iac.analysis.generalisation import F2
+from torch_iac.analysis.intervals import PART, POSITIVE, Range, difference, in_words, mean
 from torch_iac.analysis.style import (
     STYLE,
     band_style,
@@ -72,20 +72,20 @@ slower at its beginning."""
 
 Values = NDArray[np.float64]
 
-MEASURES: dict[str, tuple[Callable[[Sequence[Run]], Values], str]] = {
+MEASURES: dict[str, tuple[Callable[[Sequence[Run]], Values], Range]] = {
     "error in f2 at the end, contexts met": (
         lambda runs: last_error(runs, "met", "absolute"),
-        ".4f",
+        POSITIVE,
     ),
     "error in f2 at the end, anywhere": (
         lambda runs: last_error(runs, "anywhere", "absolute"),
-        ".4f",
+        POSITIVE,
     ),
-    "focus on f3 (decision)": (lambda runs: focus(runs, "f3"), ",.0f"),
-    "focus on f2 (decision)": (lambda runs: focus(runs, "f2"), ",.0f"),
-    "time in f1 after 1,000": (lambda runs: time_in(runs, F1, SETTLING), ".1%"),
-    "time in f2 after 1,000": (lambda runs: time_in(runs, F2, SETTLING), ".1%"),
-    "regions at the end": (lambda runs: each(runs, count_regions), ".1f"),
+    "focus on f3 (decision)": (lambda runs: focus(runs, "f3"), POSITIVE),
+    "focus on f2 (decision)": (lambda runs: focus(runs, "f2"), POSITIVE),
+    "time in f1 after 1,000": (lambda runs: time_in(runs, F1, SETTLING), PART),
+    "time in f2 after 1,000": (lambda runs: time_in(runs, F2, SETTLING), PART),
+    "regions at the end": (lambda runs: each(runs, count_regions), POSITIVE),
 }
 
 
@@ -121,10 +121,10 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
     titles = [f"{LABELS[name]} ({counts[name]})" for name in runs]
     titles += [f"{LABELS[name]}: difference" for name in others]
     print(f"| | {' | '.join(titles)} |\n{'|---' * (1 + len(titles))}|")
-    for title, (measure, unit) in MEASURES.items():
+    for title, (measure, within) in MEASURES.items():
         values = {name: measure(of) for name, of in runs.items()}
-        cells = [_cell(of, None, unit) for of in values.values()]
-        cells += [_cell(values[name], values[REFERENCE], unit) for name in others]
+        cells = [_cell(of, None, within) for of in values.values()]
+        cells += [_cell(values[name], values[REFERENCE], within) for name in others]
         print(f"| {title} | {' | '.join(cells)} |")
     for which, title in SETS.items():
         reached = [catching_up(runs[name], runs[REFERENCE], which) for name in others]
@@ -134,14 +134,12 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
         print(f"| {title} | {' | '.join([*cells, *blanks])} |")
 
 
-def _cell(values: Values, less: Values | None, unit: str) -> str:
+def _cell(values: Values, less: Values | None, within: Range) -> str:
     """Return a mean, or that of a difference, over the robots that have it, and its interval."""
     known = np.isfinite(values) if less is None else np.isfinite(values) & np.isfinite(less)
-    found = mean(values[known]) if less is None else difference(values[known], less[known])
-    sign = "" if less is None else "+"
-    value = format(found.value, sign + unit)
+    found = mean(values[known], within) if less is None else difference(values[known], less[known])
     few = "" if known.all() else f", {known.sum()} robots"
-    return f"{value} ({format(found.low, unit)} to {format(found.high, unit)}{few})"
+    return in_words(found, percent=within == PART) + few
 
 
 def print_costs(runs: Mapping[str, Sequence[Run]]) -> None:
@@ -191,8 +189,7 @@ def print_network_shares(runs: Sequence[Run]) -> None:
             by_robot = known_mean(shares[:, first:last], axis=1)
         cells = []
         for of_zone in by_robot.T:
-            found = mean(of_zone[np.isfinite(of_zone)])
-            cells.append(f"{found.value:.0%} ({found.low:.0%} to {found.high:.0%})")
+            cells.append(in_words(mean(of_zone[np.isfinite(of_zone)], PART), percent=True))
         span = f"{first * WINDOW:,} to {last * WINDOW:,}"
         print(f"| {span} | {' | '.join(cells)} |")
 
@@ -205,7 +202,7 @@ def draw_network_shares(runs: Sequence[Run]) -> Figure:
         panel = figure.subplots()
         steps = (np.arange(shares.shape[1]) + 1) * WINDOW
         for zone, name in enumerate(runs[0].zone_names):
-            found = [mean(of[np.isfinite(of)]) for of in shares[:, :, zone].T]
+            found = [mean(of[np.isfinite(of)], PART) for of in shares[:, :, zone].T]
             means, low, high = np.array([(of.value, of.low, of.high) for of in found]).T
             panel.plot(steps, means, label=name, linewidth=1.2, **zone_style(zone))
             panel.fill_between(steps, low, high, **band_style(zone_colour(zone)))

@@ -22,7 +22,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from torch_iac import Drive, Experiment, IACConfig, Progress, Random
-from torch_iac.analysis.bootstrap import band
+from torch_iac.analysis.intervals import PART, band
 from torch_iac.analysis.style import STYLE, band_style, legend, time_axis, zone_style
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
@@ -254,7 +254,7 @@ def draw_shares(panel: Axes, subject: Subject, run: Run) -> None:
     for place, kind in enumerate(subject.kinds):
         robots, style = of_parts[:, :, place], zone_style(place)
         panel.plot(middles, robots.mean(axis=1), label=kind, **style)
-        panel.fill_between(middles, *band(robots), **band_style(style["color"]))
+        panel.fill_between(middles, *band(robots, PART), **band_style(style["color"]))
 
 
 if __name__ == "__main__":

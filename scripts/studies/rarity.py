@@ -22,11 +22,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from scripts.studies.claims import F1, LATE, in_words, last_error, ratio, time_in
+from scripts.studies.claims import F1, LATE, last_error, ratio, time_in
 from scripts.studies.reproduce_paper import LABELS, SETS, VARIANTS, runs_in
 from torch_iac import Experiment
-from torch_iac.analysis.bootstrap import Estimate, mean
 from torch_iac.analysis.generalisation import F2
+from torch_iac.analysis.intervals import PART, POSITIVE, Estimate, in_words, mean
 from torch_iac.analysis.style import COLOURS, STYLE, legend, save
 from torch_iac.runs.reader import Run
 
@@ -112,10 +112,12 @@ def print_table(runs: Mapping[Place, Sequence[Run]], errors: Errors) -> None:
     print(f"| {' | '.join(titles)} |\n{'|---' * len(titles)}|")
     for (part, name), mine in runs.items():
         cells = [f"{part:.0%}", name]
-        cells += [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        cells += [
+            in_words(mean(time_in(mine, zone, LATE), PART), percent=True) for zone in (F1, F2)
+        ]
         for which in SETS:
-            cells.append(in_words(mean(errors[(part, name), which]), ".4f"))
-            cells.append(in_words(beside_random(errors, part, name, which), ".2f"))
+            cells.append(in_words(mean(errors[(part, name), which], POSITIVE)))
+            cells.append(in_words(beside_random(errors, part, name, which)))
         print(f"| {' | '.join(cells)} |")
 
 

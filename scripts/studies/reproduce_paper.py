@@ -29,13 +29,12 @@ from scripts.studies.claims import (
     Group,
     catching_up,
     gaps,
-    in_words,
     last_error,
     ratio,
     time_in,
 )
-from torch_iac.analysis.bootstrap import band, mean
 from torch_iac.analysis.generalisation import F2, sets_aside, tests_of
+from torch_iac.analysis.intervals import PART, POSITIVE, band, in_words, mean
 from torch_iac.analysis.style import STYLE, band_style, legend, line_style, save, time_axis
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
@@ -201,7 +200,7 @@ def _cell(claim: Claim, robots: Group) -> str:
     if any(name not in robots for name in claim.needs):
         return ""
     found = claim.number(robots)
-    return f"**{claim.verdict(found)}** {in_words(found, claim.unit)}"
+    return f"**{claim.verdict(found)}** {in_words(found, percent=claim.is_part)}"
 
 
 def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
@@ -216,12 +215,12 @@ def print_conditions(runs: Mapping[str, Sequence[Run]]) -> None:
     print("|---" * len(titles) + "|")
     for name, mine in runs.items():
         others = runs[f"{name.partition('-')[0]}-random"]
-        cells = [in_words(mean(time_in(mine, zone, LATE)), ".0%") for zone in (F1, F2)]
+        cells = [in_words(mean(time_in(mine, zone, LATE), PART), percent=True) for zone in (F1, F2)]
         sets = sets_aside("kinematic", VARIANTS[name].world_options)
-        cells.append(in_words(mean(gaps(mine, sets["met"])), ".3f"))
+        cells.append(in_words(mean(gaps(mine, sets["met"]), POSITIVE)))
         for which in SETS:
             errors, theirs = (last_error(of, which, "absolute") for of in (mine, others))
-            cells += [in_words(mean(errors), ".4f"), in_words(ratio(errors, theirs), ".2f")]
+            cells += [in_words(mean(errors, POSITIVE)), in_words(ratio(errors, theirs))]
             cells.append(when_reached(catching_up(mine, others, which)))
         print(f"| {name} | {' | '.join(cells)} |")
 
@@ -261,7 +260,7 @@ def draw_curves(panel: Axes, curves: Mapping[str, tuple[int, Sequence[Run]]], wh
         steps, errors = tests_of(runs, which, "absolute")
         style = line_style(place)
         panel.plot(steps, errors.mean(axis=1), label=label, linewidth=1.2, **style)
-        panel.fill_between(steps, *band(errors), **band_style(style["color"]))
+        panel.fill_between(steps, *band(errors, POSITIVE), **band_style(style["color"]))
     time_axis(panel, int(steps[-1]), n_ticks=4)
     panel.set_yscale("log")
     panel.yaxis.set_major_locator(FixedLocator(ERROR_TICKS))

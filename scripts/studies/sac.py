@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from stable_baselines3 import SAC
 
 import torch_iac as iac
-from scripts.studies.claims import each, focus, gaps, in_order, in_words, last_error
+from scripts.studies.claims import each, focus, gaps, in_order, last_error
 from scripts.studies.reproduce_paper import SETS, runs_in
 from scripts.studies.reproduce_paper import VARIANTS as PAPERS
 from scripts.studies.reproduce_paper import Study as PaperStudy
-from torch_iac.analysis.bootstrap import difference
 from torch_iac.analysis.generalisation import sets_aside
+from torch_iac.analysis.intervals import difference, in_words
 from torch_iac.analysis.style import save
 from torch_iac.compare.engine import run_variants
 from torch_iac.compare.plan import Job
@@ -202,7 +202,7 @@ def print_differences(runs: Mapping[str, Sequence[Run]]) -> None:
         for which, title in SETS.items():
             mine = last_error(runs[name], which, "absolute")
             theirs = (last_error(runs[of], which, "absolute")[: len(mine)] for of in OTHERS)
-            cells = [in_words(difference(mine, of), "+.4f") for of in theirs]
+            cells = [in_words(difference(mine, of)) for of in theirs]
             print(f"| {name}; {title[0].lower()}{title[1:]} | {' | '.join(cells)} |")
 
 

@@ -18,10 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from scripts.studies.claims import F1, in_order, in_words, share, time_in
+from scripts.studies.claims import F1, in_order, time_in
 from torch_iac import Experiment, IACConfig, KNNExperts
-from torch_iac.analysis.bootstrap import Estimate, mean
 from torch_iac.analysis.generalisation import F2
+from torch_iac.analysis.intervals import PART, Estimate, in_words, mean, share
 from torch_iac.analysis.style import STYLE, band_style, legend, line_style, save
 from torch_iac.compare.engine import run_variants
 from torch_iac.runs.reader import Run
@@ -84,8 +84,8 @@ BLOCK = 32
 """How many robots are one run."""
 
 MEASURES: dict[str, Callable[[Sequence[Run]], Estimate]] = {
-    "time in f1 after 1,000": lambda runs: mean(time_in(runs, F1, SETTLING)),
-    "time in f2 after 1,000": lambda runs: mean(time_in(runs, F2, SETTLING)),
+    "time in f1 after 1,000": lambda runs: mean(time_in(runs, F1, SETTLING), PART),
+    "time in f2 after 1,000": lambda runs: mean(time_in(runs, F2, SETTLING), PART),
     "robots that focus on f3, then on f2": lambda runs: share(in_order(runs)),
 }
 
@@ -120,7 +120,7 @@ def main(study: Study) -> None:
     }
     print(f"| parameter | value | {' | '.join(MEASURES)} |\n|---|---|" + "---|" * len(MEASURES))
     for (name, value), measures in found.items():
-        cells = [in_words(of, ".1%") for of in measures.values()]
+        cells = [in_words(of, percent=True) for of in measures.values()]
         is_default = value == PARAMETERS[name].default
         mark = f"**{value:g}**" if is_default else f"{value:g}"
         print(f"| {PARAMETERS[name].title} | {mark} | {' | '.join(cells)} |")

@@ -16,6 +16,7 @@ from torch_iac.analysis.figures import (
     draw_zones,
     save_figures,
 )
+from torch_iac.analysis.intervals import PART, band
 from torch_iac.analysis.style import COLOURS, ZONE_COLOURS
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.runs.statistics import calibration, known_mean, zone_errors, zone_shares
@@ -47,7 +48,7 @@ def test_shares_are_drawn_as_means_over_agents(run: Run) -> None:
     figure = draw_zones(run, window=100)
     lines = figure.axes[0].lines
     assert names(figure) == ["f1", "f2", "f3"]
-    assert labels(figure) == ["95 % bootstrap CI of the mean, 4 agents"]
+    assert labels(figure) == ["95 % CI of the mean, 4 agents"]
     for zone, line in enumerate(lines):
         assert_allclose(np.asarray(line.get_xdata()), np.arange(13) * 100 + 50)
         assert_allclose(
@@ -55,16 +56,15 @@ def test_shares_are_drawn_as_means_over_agents(run: Run) -> None:
         )
 
 
-def test_the_band_is_the_bootstrap_interval_of_the_mean() -> None:
-    """For many agents it agrees with the normal interval; for one it has no width."""
-    rng = np.random.default_rng(0)
-    shares = rng.random((2, 400, 1))
-    low, high = figures._confidence(shares)
-    half = 1.96 * shares.std(axis=1) / np.sqrt(400)
-    assert_allclose(high - shares.mean(axis=1), half, rtol=0.15)
-    assert_allclose(shares.mean(axis=1) - low, half, rtol=0.15)
-    low, high = figures._confidence(shares[:, :1])
-    assert_allclose(low, high)
+def test_the_band_is_the_interval_of_the_mean(run: Run) -> None:
+    figure = draw_zones(run, window=100)
+    for zone, found in enumerate(figure.axes[0].collections):
+        low, high = band(zone_shares(run, 100)[:, :, zone], PART)
+        (path,) = found.get_paths()
+        vertices = np.asarray(path.vertices)
+        for place, middle in enumerate(np.arange(13) * 100 + 50):
+            ends = vertices[vertices[:, 0] == middle, 1]
+            assert_allclose((ends.min(), ends.max()), (low[place], high[place]))
 
 
 def test_one_agent_has_no_band_and_no_legend(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.pictures import alike_in_grey, cut_off, looks_of, overlapping
-from torch_iac.analysis.bootstrap import Estimate
+from torch_iac.analysis.intervals import Estimate
 from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
 
 ZONES = ("f1", "f2", "f3")

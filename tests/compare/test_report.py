@@ -1,6 +1,9 @@
 """Reports: numbers against those in the runs' summaries, files, pictures, TensorBoard's page."""
 
 import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +18,20 @@ from tensorboard.plugins.hparams.metadata import (
 )
 
 from tests.synthetic_run import write_run
-from torch_iac import Error, Experiment, IACConfig
-from torch_iac.analysis.bootstrap import Estimate
+from torch_iac import Error, Experiment, HybridExperts, IACConfig
+from torch_iac.analysis.intervals import Estimate, holm
+from torch_iac.compare.executors import run_experiment
 from torch_iac.compare.plan import Comparison, Variant
 from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
-from torch_iac.compare.report import save_report
-from torch_iac.compare.results import differences_of, measure_rows, measures_of
+from torch_iac.compare.report import FEW, save_report
+from torch_iac.compare.results import (
+    Measure,
+    Row,
+    differences_of,
+    measure_rows,
+    measures_of,
+    shown_pairs,
+)
 from torch_iac.runs.reader import Run, load_run
 
 VARIANTS = (
@@ -78,13 +89,113 @@ def test_differences_pair_the_seeds_that_both_have(
         row["seed"] = rows.index(row) % 5  # those of made-up runs repeat
         row["error"] = row["seed"] + (0.5 if row["variant"] == "wide" else 0.0)
         row["focus/f2"] = math.nan if row["seed"] == 1 else row["seed"]
-    found = differences_of(rows, [by_name["error"], by_name["focus/f2"]], ["wide", "narrow"])
+        row["n_regions"] = math.nan  # of nobody is it known
+    names = ("error", "focus/f2", "n_regions")
+    found = differences_of(rows, [by_name[name] for name in names], ["wide", "narrow"])
     by = found[0].by
     assert [by.value, by.low, by.high, by.n] == pytest.approx([0.5, 0.5, 0.5, 3])
     # Of 0.5, 1.5, 2.5 against 0, 1, 2 a third of the pairs are lower, which is better.
     assert found[0].improvement is not None
     assert found[0].improvement.value == pytest.approx(1 / 3)
-    assert found[1].by.n == 2
+    assert [of.by.n for of in found] == [3, 2]
+
+
+def made_up(n_seeds: int, gaps: Mapping[str, float], variants: Sequence[str]) -> list[Row]:
+    """Return rows of robots whose measures differ by a gap a variant, and else by chance."""
+    rng = np.random.default_rng(0)
+    return [
+        {"variant": name, "seed": seed}
+        | {measure: place * gap + rng.normal() for measure, gap in gaps.items()}
+        for place, name in enumerate(variants)
+        for seed in range(n_seeds)
+    ]
+
+
+def measures_named(names: Iterable[str]) -> list[Measure]:
+    return [Measure(name, name, name, "lower", (name,)) for name in names]
+
+
+def test_bold_is_corrected_for_all_that_the_report_shows() -> None:
+    variants = ["a", "b", "c", "d", "e"]
+    gaps = {"large": 9.0, **{f"none {n}": 0.0 for n in range(30)}}
+    measures = measures_named(gaps)
+    found = differences_of(made_up(10, gaps, variants), measures, variants)
+    assert len(found) == 31 * 10
+    shown = [of for of in found if of.one == "a"]  # of five variants
+    assert {(of.one, of.other) for of in shown} == set(shown_pairs(variants))
+    assert holm(np.array([of.p for of in shown])).tolist() == [of.p_holm for of in shown]
+    assert all(math.isnan(of.p_holm) for of in found if of.one != "a")
+    assert [of.measure.name for of in found if of.is_clear] == ["large"] * 4
+    assert sum(of.p < 0.05 for of in shown) > 4  # would have been in bold
+
+
+@pytest.mark.parametrize(("n_seeds", "is_clear"), [(9, False), (10, True)])
+def test_with_few_seeds_nothing_is_clear(n_seeds: int, is_clear: bool) -> None:
+    rows = made_up(n_seeds, {"large": 99.0}, ["a", "b"])
+    (found,) = differences_of(rows, measures_named(["large"]), ["a", "b"])
+    assert found.p < 1e-6
+    assert found.is_clear == is_clear
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The report of a comparison made by a script, with eleven robots a variant."""
+    folder = tmp_path_factory.mktemp("comparisons") / "many"
+    error = IACConfig(drive=Error(), meta=None)
+    variants = (Variant("progress", Experiment()), Variant("error", Experiment(config=error)))
+    comparison = Comparison(folder, variants, n_seeds=11, block=11)
+    for job in comparison.jobs():
+        write_run(job.folder, 11, 300)
+    return save_report(comparison).read_text()
+
+
+def test_a_report_names_the_settings_of_variants_without_options(many: str) -> None:
+    assert "| progress | `drive.kind=Progress`, `meta.kind=MetaPredictor`, " in many
+    own = "`drive.kind=Error`, `meta.kind=none`, `drive.source=region`"
+    assert f"| error | {own} | 1 done |" in many
+    assert "Robots with seeds 0 to 10, at most 11 a run.\n" in many
+
+
+def test_few_seeds_are_said_to_be_few(comparison: Comparison, many: str) -> None:
+    few = (comparison.folder / "report.md").read_text()
+    assert few.count(FEW) == 2
+    assert "**" not in few
+    assert FEW not in many
+    table = many.partition("## Differences")[2].partition("## Over time")[0]
+    n_shown = table.count(" | progress - error | ")
+    assert f"Holm's correction for all {n_shown} differences" in table
+    assert "| number of regions | progress - error | 0 in all |  | 11 |" in many
+
+
+def test_no_interval_looks_like_a_point(comparison: Comparison, many: str) -> None:
+    for text in (many, (comparison.folder / "report.md").read_text()):
+        found = re.findall(r"(\S+) \((\S+) to (\S+?)\)", text.partition("## Measures")[2])
+        assert len(found) > 10
+        assert all(low != high for _, low, high in found)
+
+
+def test_the_file_has_what_bold_is_made_of(comparison: Comparison) -> None:
+    table = pq.read_table(comparison.folder / "differences.parquet").to_pylist()
+    known = [row for row in table if row["p"] is not None]
+    assert {row["n_seeds"] for row in known} == {3}
+    assert all(row["p"] <= row["p_holm"] <= 1 for row in known)
+
+
+def test_shares_of_the_network_are_measured_of_hybrid_experts(tmp_path: Path) -> None:
+    world = Experiment(world="Pendulum-v1", bounds_from=50, steps=60)
+    hybrid = replace(world, config=IACConfig(experts=HybridExperts(), meta=None))
+    variants = (Variant("knn", world), Variant("hybrid", hybrid))
+    comparison = Comparison(tmp_path, variants, n_seeds=2, block=2)
+    for job in comparison.jobs():
+        run_experiment(job)
+    text = save_report(comparison).read_text()
+    (line,) = [line for line in text.splitlines() if line.startswith("| share of the network")]
+    assert "| none |" in line
+    (run,) = [load_run(job.folder) for job in comparison.jobs() if job.variant == "hybrid"]
+    shares = [agent["network_share"]["mean"] for agent in run.summary["agents"]]
+    assert np.mean(shares) == pytest.approx(run.summary["network_share"]["mean"])
+    rows = pq.read_table(tmp_path / "measures.parquet").to_pylist()
+    assert [row["network_share"] for row in rows] == [None, None, *shares]
 
 
 def test_the_report_says_what_was_compared_and_what_is_missing(comparison: Comparison) -> None:
@@ -153,3 +264,15 @@ def test_pictures_hold_what_is_there(runs: dict[str, list[Run]], n_variants: int
     pairs = {f"variant {n} over 0": Estimate(0.6, 0.4, 0.9, 5) for n in range(n_variants)}
     figure = draw_improvements({f"measure {n}": pairs for n in range(5)})
     assert sum(panel.get_visible() for panel in figure.axes) == 5
+
+
+def test_bands_that_reach_0_end_at_the_edge(runs: dict[str, list[Run]]) -> None:
+    curves = {"wide": Curves.of(runs["wide"])}
+    curves["wide"].errors[2, 0] = 99.0  # so far off the others that the interval holds 0
+    (panel, *_) = draw_errors(curves).axes
+    bottom, _ = panel.get_ylim()
+    (band,) = panel.collections
+    lowest = np.concatenate([path.vertices for path in band.get_paths()])[:, 1].min()
+    assert 0 < bottom == pytest.approx(lowest)
+    curves["wide"].errors[:] = 0.0
+    assert {panel.get_yscale() for panel in draw_errors(curves).axes} == {"linear"}

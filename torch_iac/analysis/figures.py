@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
-from numpy.typing import NDArray
 
 from torch_iac.analysis.family_tree import draw_experts, draw_tree
+from torch_iac.analysis.intervals import PART, band
 from torch_iac.analysis.style import (
     DPI,
     MIXED_COLOUR,
@@ -35,9 +35,6 @@ from torch_iac.runs.statistics import Calibration, calibration, known_mean, zone
 
 DECILES: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.5, "linewidth": 0.8}
 """Style of the curve of deciles."""
-
-N_RESAMPLES = 1000
-"""Number of bootstrap resamples."""
 
 
 def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
@@ -77,8 +74,8 @@ def save_figures(folder: Path | str, pdf: bool = False) -> list[Path]:
 def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     """Return figure 3: the share of its time that the robot spends in each zone, over time.
 
-    For several agents, recorded one by one or not, lines are means and bands their 95 % bootstrap
-    confidence intervals.
+    For several agents, recorded one by one or not, lines are means and bands their 95 % confidence
+    intervals (Student's t).
 
     Args:
         run: The run.
@@ -94,7 +91,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
     window = min(window, run.n_decisions)
     shares = zone_shares(run, window)
     middles = (np.arange(len(shares)) + 0.5) * window
-    low, high = _confidence(shares)
+    low, high = band(shares.swapaxes(1, 2), PART)
     with mpl.rc_context(STYLE):
         figure, axes = _axes(run.n_decisions)
         means = shares.mean(axis=1)
@@ -106,7 +103,7 @@ def draw_zones(run: Run, window: int = WINDOW) -> Figure:
         axes.set_ylabel(f"Share of time in {window} decisions")
         name_lines(figure, axes)
         if run.n_agents > 1:
-            label = f"95 % bootstrap CI of the mean, {run.n_agents:,} agents"
+            label = f"95 % CI of the mean, {run.n_agents:,} agents"
             legend(figure, [Patch(label=label, **band_style(MIXED_COLOUR))])
     return figure
 
@@ -211,20 +208,3 @@ def _axes(n_decisions: int) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     time_axis(axes, n_decisions)
     return figure, axes
-
-
-def _confidence(shares: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the 95 % bootstrap confidence interval of the mean over agents.
-
-    Args:
-        shares: Shape `(W, A, Z)`.
-
-    Returns:
-        Its lower and its upper end, each of shape `(W, Z)`.
-    """
-    n_agents = shares.shape[1]
-    rng = np.random.default_rng(0)
-    weights = rng.multinomial(n_agents, np.full(n_agents, 1 / n_agents), N_RESAMPLES) / n_agents
-    means = np.einsum("ra,waz->rwz", weights, shares, optimize=True)
-    low, high = np.percentile(means, [2.5, 97.5], axis=0)
-    return low, high

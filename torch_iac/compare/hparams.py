@@ -33,7 +33,6 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import (
 )
 from torch.utils.tensorboard import FileWriter
 
-from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import EVENTS
 
 SUFFIX = ".hparams"
@@ -41,6 +40,23 @@ SUFFIX = ".hparams"
 
 TAG = "measures/"
 """Prefix of the tags of measures."""
+
+SETTINGS = (
+    "steps",
+    "device",
+    "world",
+    "world_options",
+    "outcomes",
+    "hold",
+    "encoder",
+    "sensor_bounds",
+    "bounds_from",
+    "test_every",
+)
+"""Which fields of a config are settings, besides those of the robots."""
+
+NOTHING = "none"
+"""How it is written that a run has no such setting."""
 
 Settings = Mapping[str, str | float]
 """The settings of a run, by name."""
@@ -92,24 +108,23 @@ def write_session(
     _write(folder, content)
 
 
-def differing_settings(runs: Sequence[Run]) -> list[dict[str, str | float]]:
-    """Return the numbers in each run's config that differ between runs."""
-    settings = [_settings(run) for run in runs]
+def differing_settings(configs: Sequence[Mapping[str, Any]]) -> list[dict[str, str | float]]:
+    """Return the settings of each config that differ between them; `NOTHING` where one has none."""
+    settings = [_settings(config) for config in configs]
     kept: dict[str, Sequence[str | float]] = {}
     for name in dict.fromkeys(name for of in settings for name in of):
         values = [of.get(name) for of in settings]
         if any(value != values[0] for value in values):
             numbers = [float(value) for value in values if isinstance(value, (int, float))]
-            texts = ["none" if value is None else str(value) for value in values]
+            texts = [NOTHING if value is None else str(value) for value in values]
             kept[name] = numbers if len(numbers) == len(values) else texts
-    return [{name: of[place] for name, of in kept.items()} for place in range(len(runs))]
+    return [{name: of[place] for name, of in kept.items()} for place in range(len(configs))]
 
 
-def _settings(run: Run) -> dict[str, Any]:
-    """Return the config's numbers, each under its whole name."""
-    names = ("steps", "device", "world", "world_options", "hold", "encoder", "sensor_bounds")
-    parts = {name: run.config[name] for name in names if name in run.config}
-    return _flat({**parts, **run.config["iac"]})
+def _settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what decides what a config's robots do, each under its whole name."""
+    parts = {name: config[name] for name in SETTINGS if name in config}
+    return _flat({**parts, **config["iac"]})
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

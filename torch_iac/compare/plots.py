@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from torch_iac.analysis.bootstrap import Estimate, band
+from torch_iac.analysis.intervals import PART, POSITIVE, Estimate, Range, band
 from torch_iac.analysis.style import (
     COLOURS,
     PANELS_A_ROW,
@@ -100,7 +100,7 @@ def draw_shares(curves: Mapping[str, Curves]) -> Figure:
         figure, panels = _panels(curves, _zones(curves))
         for zone, panel in panels.items():
             shares = {name: of.shares_in(zone) for name, of in curves.items()}
-            _draw_lines(panel, curves, shares)
+            _draw_lines(panel, curves, shares, PART)
             panel.set_ylim(0, 1)
         first = next(iter(panels.values()))
         first.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -112,16 +112,22 @@ def draw_shares(curves: Mapping[str, Curves]) -> Figure:
 def draw_errors(curves: Mapping[str, Curves]) -> Figure:
     """Return the mean error of each variant over time, in all and in each zone.
 
-    On a logarithmic axis, in scaled units.
+    On a logarithmic axis, in scaled units. Where an interval reaches 0, its band goes down to the
+    edge.
     """
+    means = np.concatenate([known_mean(of.errors, axis=1).ravel() for of in curves.values()])
+    least = means.min(initial=np.inf, where=means > 0) / 2
+    is_logarithmic = np.isfinite(least)
+    within = (least, np.inf) if is_logarithmic else POSITIVE
     with mpl.rc_context(STYLE):
         figure, panels = _panels(curves, [EVERYWHERE, *_zones(curves)])
         for zone, panel in panels.items():
             errors = {name: of.errors_in(zone) for name, of in curves.items()}
-            _draw_lines(panel, curves, errors)
+            _draw_lines(panel, curves, errors, within)
         first = next(iter(panels.values()))
-        if any((of.errors > 0).any() for of in curves.values()):
+        if is_logarithmic:
             first.set_yscale("log")  # and with it the others
+            first.set_ylim(bottom=least)
             plain_errors(first.yaxis)
         first.set_ylabel(f"Mean error in {_window(curves)} decisions (scaled)")
         name_lines(figure, [*panels.values()][-1], _n_columns(curves))
@@ -165,25 +171,30 @@ def _panels(curves: Mapping[str, Curves], names: Sequence[str]) -> tuple[Figure,
 
 
 def _draw_lines(
-    panel: Axes, curves: Mapping[str, Curves], values: Mapping[str, NDArray[np.float64]]
+    panel: Axes,
+    curves: Mapping[str, Curves],
+    values: Mapping[str, NDArray[np.float64]],
+    within: Range,
 ) -> None:
     """Draw the mean of each variant's values, shape `(W, S)`, and its interval."""
     for place, (name, of) in enumerate(curves.items()):
         style = line_style(place)
         means = known_mean(values[name], axis=1)
         panel.plot(of.middles, means, linewidth=1.2, label=name, **style)
-        low, high = _known_band(values[name])
+        low, high = _known_band(values[name], within)
         panel.fill_between(of.middles, low, high, **band_style(style["color"]))
 
 
-def _known_band(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _known_band(
+    values: NDArray[np.float64], within: Range
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the interval of each window's mean over the robots that have one."""
     ends = np.full((2, len(values)), np.nan)
     is_whole = np.isfinite(values).all(axis=1)
     if is_whole.any():
-        ends[:, is_whole] = band(values[is_whole])
+        ends[:, is_whole] = band(values[is_whole], within)
     for window in np.flatnonzero(~is_whole):
-        ends[:, window] = band(values[window][np.isfinite(values[window])])
+        ends[:, window] = band(values[window][np.isfinite(values[window])], within)
     return ends[0], ends[1]
 
 

@@ -1,20 +1,30 @@
 """Reports on a comparison: a table, how variants differ, pictures, files, TensorBoard's page."""
 
 import math
+import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from shlex import join
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from torch_iac.analysis.bootstrap import Estimate
+from torch_iac.analysis.intervals import Estimate, in_words
 from torch_iac.analysis.style import save
-from torch_iac.compare.hparams import differing_settings, write_experiment, write_session
-from torch_iac.compare.plan import FIGURES, Comparison, count_states, ended_runs
+from torch_iac.compare.hparams import (
+    NOTHING,
+    differing_settings,
+    write_experiment,
+    write_session,
+)
+from torch_iac.compare.plan import FIGURES, Comparison, Variant, count_states, ended_runs
 from torch_iac.compare.plots import Curves, draw_errors, draw_improvements, draw_shares
 from torch_iac.compare.results import (
+    MANY_SEEDS,
+    MOST_PAIRED,
     Difference,
     Measure,
     Row,
@@ -22,6 +32,7 @@ from torch_iac.compare.results import (
     mean_of,
     measure_rows,
     measures_of,
+    shown_pairs,
 )
 from torch_iac.internal.files import replace, write_table
 from torch_iac.runs.reader import Run
@@ -35,8 +46,8 @@ DIFFERENCES = "differences.parquet"
 CURVES = "curves.parquet"
 """What the files of a report are called."""
 
-MOST_PAIRED = 4
-"""With more variants, the report compares each with the first only; the file has all pairs."""
+FEW = "Fewer than ten seeds: intervals are wide and a difference proves little."
+"""What is said of less than `MANY_SEEDS`."""
 
 
 def save_report(comparison: Comparison) -> Path:
@@ -52,7 +63,8 @@ def save_report(comparison: Comparison) -> Path:
     rows = measure_rows(comparison, runs, measures)
     differences = differences_of(rows, measures, list(runs))
     curves = {name: Curves.of(of) for name, of in runs.items()}
-    shown = _shown(differences, list(curves))
+    pairs = shown_pairs(list(runs))
+    shown = [found for found in differences if (found.one, found.other) in pairs]
     folder = comparison.folder
     _write(folder / MEASURES, rows)
     _write(folder / DIFFERENCES, [_difference_row(found) for found in differences])
@@ -65,30 +77,27 @@ def save_report(comparison: Comparison) -> Path:
     return path
 
 
-def _shown(differences: Sequence[Difference], variants: Sequence[str]) -> list[Difference]:
-    """Return the differences that the report shows."""
-    if len(variants) <= MOST_PAIRED:
-        return list(differences)
-    return [found for found in differences if found.one == variants[0]]
-
-
 def _draw(
     folder: Path, curves: Mapping[str, Curves], differences: Sequence[Difference]
 ) -> dict[str, str]:
     """Draw the pictures, and return what each shows, by its path in the folder."""
-    bars = "Bands are 95 % bootstrap intervals of the mean over robots."
+    bars = "Bands are 95 % intervals of the mean over robots."
     drawn: dict[str, tuple[Figure, str]] = {}
     if any(of.zone_names for of in curves.values()):
         drawn["shares"] = draw_shares(curves), f"Share of time in each zone, over time. {bars}"
-    drawn["errors"] = draw_errors(curves), f"Mean error, over time. {bars}"
+    to_0 = "Where one goes down to the lower edge, it reaches 0."
+    drawn["errors"] = draw_errors(curves), f"Mean error, over time. {bars} {to_0}"
     panels: dict[str, dict[str, Estimate]] = {}
     for found in differences:
-        if found.improvement and found.improvement.n:
+        if found.improvement:
             pair = f"{found.one} over {found.other}"
             title = f"{found.measure.title}\n({found.measure.better} is better)"
             panels.setdefault(title, {})[pair] = found.improvement
     if panels:
-        shows = "Probability that a robot of the first variant is better than one of the second."
+        shows = (
+            "Probability that a robot of the first variant is better than one of the second, with "
+            "95 % intervals; at 0.5, neither is."
+        )
         drawn["improvement"] = draw_improvements(panels), shows
     (folder / FIGURES).mkdir(exist_ok=True)
     for name, (figure, _) in drawn.items():
@@ -104,7 +113,7 @@ def _tell_tensorboard(
 ) -> None:
     """Write what TensorBoard's HParams page shows: a row a run, a column a setting or measure."""
     sessions = [(variant, run) for variant, of in runs.items() for run in of]
-    differing = differing_settings([run for _, run in sessions])
+    differing = differing_settings([run.config for _, run in sessions])
     settings = [
         {"variant": variant, "seed": _seeds(run), **own}
         for (variant, run), own in zip(sessions, differing, strict=True)
@@ -136,8 +145,7 @@ def _text(
         "# Comparison",
         _what_was_compared(comparison),
         "## Measures",
-        "Means over robots, with 95 % bootstrap intervals; errors are in scaled units. Where fewer "
-        "robots have a measure than ended, the number is given: some never focus on a zone.",
+        _about_measures(rows),
         _measure_table(comparison, rows, measures),
         *_differences_part(comparison, differences),
         "## Over time",
@@ -149,20 +157,45 @@ def _text(
     return "\n\n".join(parts) + "\n"
 
 
+def _about_measures(rows: Sequence[Row]) -> str:
+    robots = Counter(row["variant"] for row in rows)
+    about = (
+        "Means over robots, in parentheses their 95 % intervals (Student's t); *in all* means that "
+        "every robot has this value. Errors are in scaled units. Where fewer robots have a measure "
+        "than ended, the number is given: some never focus on a zone."
+    )
+    return f"{about} {FEW}" if min(robots.values()) < MANY_SEEDS else about
+
+
 def _what_was_compared(comparison: Comparison) -> str:
     last = comparison.seed + comparison.n_seeds - 1
+    seeds = f"seeds {comparison.seed} to {last}" if comparison.seed < last else f"seed {last}"
+    options = f"; options for all: `{join(comparison.words)}`" if comparison.words else ""
+    of_runs = f", at most {comparison.block} a run" if comparison.block > 1 else ""
     lines = [
-        f"Seeds {comparison.seed} to {last}, at most {comparison.block} a run; options for all: "
-        f"{_code(comparison.words)}.",
+        f"Robots with {seeds}{of_runs}{options}.",
         "",
-        "| variant | its options | runs |",
+        "| variant | its options, or the settings in which it differs | runs |",
         "|---|---|---|",
     ]
+    configs = [variant.experiment.to_json() for variant in comparison.variants]
     jobs = comparison.jobs()
-    for variant in comparison.variants:
+    for variant, own in zip(comparison.variants, differing_settings(configs), strict=True):
         states = count_states([job for job in jobs if job.variant == variant.name])
-        lines.append(f"| {variant.name} | {_code(variant.words)} | {states} |")
+        lines.append(_line([variant.name, _what_differs(variant, own), states]))
     return "\n".join(lines)
+
+
+def _what_differs(variant: Variant, settings: Mapping[str, Any]) -> str:
+    """Return a variant's options or, if it was not described by any, its own settings."""
+    if variant.words:
+        return f"`{join(variant.words)}`"
+    own = [
+        f"{name}={value}"
+        for name, value in settings.items()
+        if value != NOTHING or re.fullmatch(r"\w+\.kind", name)  # a whole part is missing
+    ]
+    return ", ".join(f"`{of}`" for of in own) or NOTHING
 
 
 def _measure_table(comparison: Comparison, rows: Sequence[Row], measures: Sequence[Measure]) -> str:
@@ -176,8 +209,9 @@ def _measure_table(comparison: Comparison, rows: Sequence[Row], measures: Sequen
         cells = []
         for mine in by_variant.values():
             found = mean_of(mine, measure)
-            few = f", of {found.n}" if 0 < found.n < len(mine) else ""
-            cells.append(_words(found) + few)
+            robots = "robot" if found.n == 1 else "robots"
+            few = f", {found.n} {robots}" if 0 < found.n < len(mine) else ""
+            cells.append(in_words(found) + few)
         lines.append(_line([measure.label, measure.better or "", *cells]))
     return "\n".join(lines)
 
@@ -190,22 +224,32 @@ def _differences_part(comparison: Comparison, differences: Sequence[Difference])
         "|---" * 5 + "|",
     ]
     for found in differences:
-        by = _words(found.by)
-        is_clear = found.by.low > 0 or found.by.high < 0
+        by = f"**{in_words(found.by)}**" if found.is_clear else in_words(found.by)
         pair = f"{found.one} - {found.other}"
-        chance = _words(found.improvement) if found.improvement else ""
-        by = f"**{by}**" if is_clear else by
+        chance = in_words(found.improvement) if found.improvement else ""
         lines.append(_line([found.measure.label, pair, by, chance, str(found.by.n)]))
+    return ["## Differences", _about_differences(comparison, differences), "\n".join(lines)]
+
+
+def _about_differences(comparison: Comparison, differences: Sequence[Difference]) -> str:
     reference = comparison.variants[0].name
-    only = "" if len(comparison.variants) <= MOST_PAIRED else f" Only those with {reference}."
-    return [
-        "## Differences",
-        "Robots with the same seed are paired. The difference is that of the means; in bold where "
-        "its interval leaves out 0 (of twenty that are none, one will do so by chance). The "
-        "probability is that of a robot of the first variant being better than any robot of the "
-        f"second; equal ones count half.{only}",
-        "\n".join(lines),
-    ]
+    only = f" Only those with {reference}." if len(comparison.variants) > MOST_PAIRED else ""
+    if max(found.by.n for found in differences) < MANY_SEEDS:
+        bold = f"{FEW} So none is in bold."
+    else:
+        bold = (
+            f"In bold is what is left after Holm's correction for all {len(differences)} "
+            "differences of the table: were there none in truth, anything would be in bold in one "
+            f"comparison of twenty. Nothing is with fewer than {MANY_SEEDS} seeds. An interval "
+            "alone is not corrected: of twenty differences that are none, about one leaves out 0."
+        )
+    return (
+        "Robots with the same seed are paired. The difference is that of the means, in parentheses "
+        f"its 95 % interval (Student's t). {bold}\n\nThe probability is that of a robot of the "
+        "first variant being better than one of the second; equal ones count half, so 0.5 "
+        "is no difference. Its interval, Clopper and Pearson's for a share of as many robots, is "
+        f"wide enough for any values.{only}"
+    )
 
 
 def _not_done(comparison: Comparison) -> list[str]:
@@ -225,7 +269,8 @@ def _files_text() -> str:
     return "\n".join(
         [
             f"- `{MEASURES}`: a row a robot, a column a measure",
-            f"- `{DIFFERENCES}`: a row for each measure and two variants, all of them",
+            f"- `{DIFFERENCES}`: a row for each measure and two variants, all of them; `p` is the "
+            "p-value of the difference (paired t test), `p_holm` the same after Holm's correction",
             f"- `{CURVES}`: a row for each robot, zone and {WINDOW} decisions, and one for all "
             "zones together (`zone` is null)",
             "- a folder for each variant, with its run folders and what they had to say (`*.log`)",
@@ -250,6 +295,8 @@ def _difference_row(found: Difference) -> Row:
         "improvement": chance.value,
         "improvement_low": chance.low,
         "improvement_high": chance.high,
+        "p": found.p,
+        "p_holm": found.p_holm,
     }
 
 
@@ -284,23 +331,6 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
         names = list(rows[0])
         columns = {n: pa.array([row[n] for row in rows], from_pandas=True) for n in names}
         write_table(path, pa.table(columns))
-
-
-def _words(found: Estimate) -> str:
-    """Return a number and its interval."""
-    if not found.n:
-        return "none"
-    if math.isnan(found.low):
-        return _number(found.value)
-    return f"{_number(found.value)} ({_number(found.low)} to {_number(found.high)})"
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def _code(words: Sequence[str]) -> str:
-    return f"`{join(words)}`" if words else "none"
 
 
 def _line(cells: Sequence[str]) -> str:

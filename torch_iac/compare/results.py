@@ -2,13 +2,23 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
-from torch_iac.analysis.bootstrap import Estimate, difference, mean, probability_larger
+from torch_iac.analysis.intervals import (
+    PART,
+    POSITIVE,
+    Estimate,
+    Range,
+    difference,
+    holm,
+    mean,
+    p_value,
+    probability_larger,
+)
 from torch_iac.compare.plan import Comparison
 from torch_iac.runs.reader import Run
 from torch_iac.runs.schema import MAIN, shadow_error
@@ -18,8 +28,19 @@ from torch_iac.toy_room import BETTER_SHARES, FOCUS_SHARES
 Better = Literal["lower", "higher"]
 """Which values of a measure are better."""
 
+MOST_PAIRED = 4
+"""With more variants, the report compares each with the first only."""
+
+MANY_SEEDS = 10
+"""With fewer, no difference is called clear."""
+
+MOST_CHANCE = 0.05
+"""How probable it is at most that chance alone makes any of the clear differences."""
+
 Row = dict[str, Any]
 """The values of a robot, by column."""
+
+_LATE = f"in the last {SETTLING:,} decisions"
 
 
 @dataclass(frozen=True)
@@ -32,6 +53,7 @@ class Measure:
         label: What it is exactly.
         better: Which values are better; None if neither.
         path: Where a summary has it, under each robot.
+        within: Where its values can lie.
     """
 
     name: str
@@ -39,6 +61,7 @@ class Measure:
     label: str
     better: Better | None
     path: tuple[str, ...]
+    within: Range = POSITIVE
 
     def of(self, agent: Mapping[str, Any]) -> float:
         """Return it for a robot of a summary; NaN if missing."""
@@ -59,6 +82,8 @@ class Difference:
         by: How much larger the mean of the one is.
         improvement: Probability that a robot of the one is better than one of the other; None if
             neither direction is better.
+        p: How probable so large a difference is where there is none; NaN with less than two seeds.
+        p_holm: That, adjusted by Holm for all differences that the report shows; NaN for others.
     """
 
     measure: Measure
@@ -66,6 +91,13 @@ class Difference:
     other: str
     by: Estimate
     improvement: Estimate | None
+    p: float
+    p_holm: float = math.nan
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it is hardly made by chance, among all that the report shows."""
+        return self.by.n >= MANY_SEEDS and self.p_holm < MOST_CHANCE
 
 
 def measures_of(runs: Sequence[Run]) -> list[Measure]:
@@ -83,6 +115,7 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
             _late_error(shadow_error(name), f"error of shadow {name}", "errors", name, "mean")
             for name in shadows
         ),
+        *(_network_shares(zones) if any(run.is_hybrid for run in runs) else ()),
         *(
             Measure(
                 f"share/{zone}",
@@ -90,6 +123,7 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
                 f"{title} {settled}",
                 BETTER_SHARES.get(zone),
                 ("settled_zone_shares", zone),
+                PART,
             )
             for zone in zones
         ),
@@ -109,8 +143,23 @@ def measures_of(runs: Sequence[Run]) -> list[Measure]:
 
 
 def _late_error(name: str, title: str, *path: str) -> Measure:
-    label = f"{title} in the last {SETTLING:,} decisions"
-    return Measure(name, title, label, "lower", path)
+    return Measure(name, title, f"{title} {_LATE}", "lower", path)
+
+
+def _network_shares(zones: Sequence[str]) -> list[Measure]:
+    """Return how often hybrid experts used the network, in all and in each zone."""
+    places = {"": ("mean",)} | {zone: ("zones", zone) for zone in zones}
+    return [
+        Measure(
+            f"network_share/{zone}" if zone else "network_share",
+            title := f"share of the network in {zone}" if zone else "share of the network",
+            f"{title} {_LATE}",
+            None,
+            ("network_share", *path),
+            PART,
+        )
+        for zone, path in places.items()
+    ]
 
 
 def measure_rows(
@@ -141,15 +190,31 @@ def measure_rows(
 def differences_of(
     rows: Sequence[Row], measures: Sequence[Measure], variants: Sequence[str]
 ) -> list[Difference]:
-    """Return how each two variants differ in each measure."""
+    """Return how each two variants differ in each measure, if they have seeds in common."""
     pairs = list(combinations(variants, 2))
-    return [_difference(rows, measure, *pair) for measure in measures for pair in pairs]
+    found = [_difference(rows, measure, *pair) for measure in measures for pair in pairs]
+    return _adjusted([of for of in found if of.by.n], shown_pairs(variants))
+
+
+def shown_pairs(variants: Sequence[str]) -> list[tuple[str, str]]:
+    """Return which variants the report compares with which."""
+    pairs = list(combinations(variants, 2))
+    return pairs if len(variants) <= MOST_PAIRED else pairs[: len(variants) - 1]
+
+
+def _adjusted(
+    differences: Sequence[Difference], shown: Sequence[tuple[str, str]]
+) -> list[Difference]:
+    """Return the differences with p-values adjusted for those of the pairs that are shown."""
+    p_values = [of.p if (of.one, of.other) in shown else math.nan for of in differences]
+    adjusted = holm(np.array(p_values, dtype=np.float64)).tolist()
+    return [replace(of, p_holm=p) for of, p in zip(differences, adjusted, strict=True)]
 
 
 def mean_of(rows: Sequence[Row], measure: Measure) -> Estimate:
     """Return the mean of a measure over the robots that have it."""
     values = np.array([row[measure.name] for row in rows], dtype=np.float64)
-    return mean(values[np.isfinite(values)])
+    return mean(values[np.isfinite(values)], measure.within)
 
 
 def _difference(rows: Sequence[Row], measure: Measure, one: str, other: str) -> Difference:
@@ -158,7 +223,8 @@ def _difference(rows: Sequence[Row], measure: Measure, one: str, other: str) -> 
     mine, theirs = (np.array([of[seed] for seed in seeds]) for of in (of_one, of_other))
     better = {"higher": (mine, theirs), "lower": (theirs, mine)}
     improvement = probability_larger(*better[measure.better]) if measure.better else None
-    return Difference(measure, one, other, difference(mine, theirs), improvement)
+    by, p = difference(mine, theirs), p_value(mine, theirs)
+    return Difference(measure, one, other, by, improvement, p)
 
 
 def _by_seed(rows: Sequence[Row], measure: Measure, variant: str) -> dict[int, float]:

@@ -30,7 +30,8 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
     Shares and errors are means over all agents, first cuts and focuses count agents and give
     medians; `agents` has the same agent by agent, for the first `N_AGENTS_LISTED`. `errors` are
     those of the last `SETTLING` decisions, from the beginning of a window on, of the main experts
-    and of each shadow. Only `calibration` is over the agents whose steps are recorded. What a short
+    and of each shadow; `network_share` is the share of the same decisions for which hybrid experts
+    used the network. Only `calibration` is over the agents whose steps are recorded. What a short
     run, or one without MP, does not have is None.
 
     Args:
@@ -40,6 +41,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
     n_decisions, n_regions = run.n_decisions, count_regions(run)
     by_zone, cuts, focus = _measures_by_zone(run), _first_cuts(run), _focus(run)
     errors = {name: _late_errors(run, column) for name, column in run.error_columns.items()}
+    network_shares = {"network_share": _late_errors(run, USED_NETWORK)} if run.is_hybrid else {}
     return {
         "n_agents": run.n_agents,
         "n_recorded_agents": run.n_recorded,
@@ -51,7 +53,9 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
         "errors": {
             name: _describe_errors(run, known_mean(e, axis=0)) for name, e in errors.items()
         },
-        **_network_share(run),
+        **{
+            name: _describe_errors(run, known_mean(s, axis=0)) for name, s in network_shares.items()
+        },
         "calibration": _calibration(run),
         "first_cuts": _count_first_cuts(cuts),
         "focus": {zone: _count_focus(steps) for zone, steps in focus.items()},
@@ -61,6 +65,7 @@ def summarise(run: Run, seconds: float) -> dict[str, Any]:
                 "n_regions": int(n_regions[agent]),
                 **_each_zone(by_zone, itemgetter(agent)),
                 "errors": {name: _describe_errors(run, e[agent]) for name, e in errors.items()},
+                **{name: _describe_errors(run, s[agent]) for name, s in network_shares.items()},
                 "first_cut": cuts[agent],
                 "focus": {zone: steps[agent] for zone, steps in focus.items()},
             }
@@ -101,14 +106,6 @@ def _late_errors(run: Run, column: str) -> NDArray[np.float64]:
     late = run.window_sums[first:].total(0)
     by_zone = late.means(column)[0, :, : len(run.zone_names)]
     return np.concatenate([late.total(2).means(column)[0], by_zone], axis=1)
-
-
-def _network_share(run: Run) -> dict[str, Any]:
-    """Return the share of recent decisions in which hybrid experts used the network."""
-    if not run.is_hybrid:
-        return {}
-    shares = _late_errors(run, USED_NETWORK)
-    return {"network_share": _describe_errors(run, known_mean(shares, axis=0))}
 
 
 def _describe_errors(run: Run, errors: NDArray[np.float64]) -> dict[str, Any]:
