@@ -41,6 +41,8 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
             draw(asked)
         else:
             replay(asked)
+    except BrokenPipeError:  # nobody reads the answer any more
+        raise
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
         leave(2, one_line(error))
     except StoppedBySignalError as stopped:
