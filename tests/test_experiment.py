@@ -2,8 +2,9 @@
 
 import json
 from dataclasses import fields
+from datetime import datetime, tzinfo
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from torch import nn
 
 import torch_iac as iac
 from tests.same_run import differences
+from torch_iac import experiment as experiment_module
 from torch_iac.experiment import Experiment, StoppedError
 from torch_iac.kinds import CHOICES, DRIVES, EXPERTS
 
@@ -195,6 +197,22 @@ def test_of_nearest_neighbours_the_examples_are_given(tmp_path: Path) -> None:
             agent.expert(*wrong)
 
 
+def test_runs_that_begin_in_the_same_second_have_folders_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Self:
+            return cls(2030, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(experiment_module, "datetime", Stopped)
+    folders = [experiment_module._new_folder("a:b/c") for _ in range(3)]
+    name = "20300102-030405-a-b-c"
+    assert [folder.name for folder in folders] == [name, f"{name}-2", f"{name}-3"]
+    assert all(folder.is_dir() for folder in folders)
+
+
 def test_a_run_of_a_loop_of_ones_own_is_no_experiment(tmp_path: Path) -> None:
     from tests.synthetic_run import write_run
 
@@ -204,12 +222,9 @@ def test_a_run_of_a_loop_of_ones_own_is_no_experiment(tmp_path: Path) -> None:
 
 
 def test_equal_experiments_have_equal_hashes() -> None:
-    one, other = (
-        Experiment(world_options=dict(pairs), sensor_bounds={"x": bounds}, seeds=seeds)  # type: ignore[dict-item]
-        for pairs, bounds, seeds in (
-            ([("a", [1]), ("b", 2)], (0, 1), range(2)),
-            ([("b", 2), ("a", (1,))], [0.0, 1.0], [0, 1]),
-        )
+    one = Experiment(world_options={"a": [1], "b": 2}, sensor_bounds={"x": (0, 1)}, seeds=range(2))
+    other = Experiment(
+        world_options={"b": 2, "a": (1,)}, sensor_bounds={"x": (0.0, 1.0)}, seeds=[0, 1]
     )
     assert one == other
     assert hash(one) == hash(other)

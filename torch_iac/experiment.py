@@ -302,7 +302,7 @@ class Experiment:
             OSError: The folder holds another run, or cannot be written.
             FloatingPointError: A loss is not finite.
         """
-        folder = _new_folder(self.world) if folder is None else Path(folder)
+        folder = None if folder is None else Path(folder)
         origin = {MADE_IN: str(Path.cwd()), **({COMMAND: list(command)} if command else {})}
         return self._live(folder, None, origin, stop)
 
@@ -327,7 +327,7 @@ class Experiment:
 
     def _live(
         self,
-        folder: Path,
+        folder: Path | None,
         earlier: Run | None,
         origin: Mapping[str, Any],
         stop: Callable[[], bool],
@@ -336,7 +336,7 @@ class Experiment:
         """Begin a run, or go on with it.
 
         Args:
-            folder: The run folder.
+            folder: The run folder; None for a new one.
             earlier: What it holds.
             origin: Where and how it was begun, for `config.json`.
             stop: Asked after each decision whether to save and stop.
@@ -357,6 +357,7 @@ class Experiment:
                 # A world that cannot begin leaves no run folder.
                 world.reset(seed=list(self.seeds))  # type: ignore[arg-type]  # a list is fine
                 agent = IAC(space, self.config, self.seeds, device)
+                folder = _new_folder(self.world) if folder is None else folder
                 recorder = Recorder(
                     folder,
                     agent,
@@ -562,9 +563,21 @@ def how_to_go_on(folder: Path) -> str:
 
 
 def _new_folder(world: str) -> Path:
-    """Return a run folder in runs/, named by the time and the world."""
-    name = re.sub(r"[^\w.-]", "-", world)
-    return Path("runs") / f"{datetime.now():%Y%m%d-%H%M%S}-{name}"
+    """Make and return a run folder in runs/, named by the time and the world.
+
+    It is made at once, so that of two runs that begin in the same second each has its own.
+    """
+    world = re.sub(r"[^\w.-]", "-", world)
+    name = f"{datetime.now():%Y%m%d-%H%M%S}-{world}"
+    folder, attempt = Path("runs") / name, 1
+    while True:
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            attempt += 1
+            folder = Path("runs") / f"{name}-{attempt}"
+        else:
+            return folder
 
 
 def _description(bounds: Bounds | None) -> dict[str, Any]:

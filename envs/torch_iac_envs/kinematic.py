@@ -10,8 +10,9 @@ and adds up more than two numbers one after the other. `elementary` has what goe
 
 import math
 from collections.abc import Sequence
+from copy import deepcopy
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import gymnasium as gym
 import numpy as np
@@ -236,6 +237,9 @@ class ToyRoomKinematic(gym.vector.VectorEnv[Tensor, Tensor | NDArray[Any], Tenso
         del kwargs
         if self._camera is not None:
             self._camera.close()
+
+    def __copy__(self) -> Self:
+        return deepcopy(self)  # a camera closes with its worlds
 
     def get_state(self) -> State:
         """Return the whole state, as a dict of tensors.

@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,9 @@ class Physics:
         window: Whether to open a window and run in real time.
         picture_size: Width and height of its pictures (pixels).
 
+    Attributes:
+        is_open: Whether it has its client still.
+
     Raises:
         RuntimeError: The engine gave no client.
     """
@@ -105,7 +109,8 @@ class Physics:
         if client < 0:
             raise RuntimeError(f"pybullet's client must be at least 0, got {client}")
         self._client = {"physicsClientId": client}
-        self._open = True
+        self._arguments = (room, n_beams, substeps, window, picture_size)
+        self.is_open = True
         self._room = room
         self._substeps = substeps
         self._window = window
@@ -114,11 +119,27 @@ class Physics:
         if window:
             self._arrange_window()
 
+    def __getstate__(self) -> tuple[Any, ...]:
+        """Return what makes another client alike, for copies and pickles; it has no bodies yet.
+
+        Raises:
+            TypeError: It has a window, of which the engine opens one a process.
+        """
+        if self._window:
+            raise TypeError("a room with a window (render_mode 'human') must not be copied")
+        return self._arguments, self.is_open
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        arguments, is_open = state
+        self.__init__(*arguments)  # type: ignore[misc]  # a client of its own
+        if not is_open:
+            self.close()
+
     def close(self) -> None:
         """Disconnect the client, once."""
-        if self._open:
+        if self.is_open:
             p.disconnect(**self._client)
-        self._open = False
+        self.is_open = False
 
     def seat(self, state: Vector) -> None:
         """Build the room anew and put its bodies as `state`, shape `(30,)`, says.

@@ -2,7 +2,8 @@
 
 import os
 import sys
-from typing import Any, ClassVar, SupportsFloat
+from copy import deepcopy
+from typing import Any, ClassVar, Self, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -187,6 +188,18 @@ class ToyRoom(gym.Env[Observation, Action]):
     def close(self) -> None:
         """Close the physics engine; closing twice is allowed."""
         self._physics.close()
+
+    def __copy__(self) -> Self:
+        return deepcopy(self)  # two worlds on one engine would move each other's bodies
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Become the copy, or the world that was pickled: the same physics, in another client."""
+        vars(self).update(state)
+        keyframe, commands = self._keyframe, self._commands
+        if keyframe is not None and self._physics.is_open:
+            self._physics.seat(keyframe)
+            for command in commands:
+                self._physics.advance(command)
 
     def get_state(self) -> State:
         """Return the whole state, as a dict of arrays.

@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
+from torch_iac.analysis.bootstrap import Estimate, band, mean, probability_larger
 
 from scripts.studies.claims import in_words
 from scripts.studies.sparse_runs import BONUSES, NONE, Outcome, Task, run
-from torch_iac.analysis.bootstrap import Estimate, band, mean, probability_larger
 from torch_iac.analysis.style import (
     COLOURS,
     LINES,

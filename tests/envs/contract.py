@@ -3,7 +3,9 @@
 Worlds are driven through Gymnasium's vector interface, as an agent drives them.
 """
 
+import copy
 import math
+import pickle
 from itertools import islice
 from typing import Any
 
@@ -20,6 +22,11 @@ ROOM = Room()
 F1, F2, F3 = 0.1, 0.5, 0.9
 STILL_F1, STILL_F2, STILL_F3 = ([0.0, 0.0, sound] for sound in (F1, F2, F3))
 QUIET = {"sensor_noise": 0.0, "actuator_noise": 0.0}
+
+
+def pickled(world: Any) -> Any:
+    """Return what comes out of a pickle."""
+    return pickle.loads(pickle.dumps(world))
 
 
 class ToyRoomContract:
@@ -97,6 +104,27 @@ class ToyRoomContract:
         sensors = np.asarray(env.reset(seed=0)[0])
         assert (sensors.std(axis=0) > 0.1).all()
         env.close()
+
+    # Copies.
+
+    @pytest.mark.parametrize("n_decisions", [None, 0, 103])
+    def test_a_copy_is_a_world_of_its_own(self, n_decisions: int | None) -> None:
+        env = self.make(1)
+        if n_decisions is not None:
+            _live(env, _random_actions(n_decisions), seed=0, close=False)
+        twin = copy.deepcopy(env)
+        lives = []
+        for world in (twin, env):
+            if n_decisions is None:
+                world.reset(seed=0)
+            lives.append(
+                [
+                    np.asarray(world.step(np.array([action], np.float32))[0]).copy()
+                    for action in _random_actions(6)
+                ]
+            )
+            world.close()
+        np.testing.assert_array_equal(lives[0], lives[1])
 
     # Zones.
 

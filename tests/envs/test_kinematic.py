@@ -1,6 +1,8 @@
 """The toy room of batched arithmetic: the contract, independent worlds, and pybullet's motion."""
 
+import copy
 import math
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -10,7 +12,7 @@ import torch
 from torch import Tensor
 
 from scripts.benchmarks.kinematic_accuracy import compare, landings
-from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract
+from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract, pickled
 from torch_iac_envs.bodies import CHASSIS, FRICTION, WALL
 from torch_iac_envs.kinematic import TOY_BOUNCE, WALL_FRICTION, ToyRoomKinematic, roll
 from torch_iac_envs.randomness import normal, pack_seeds, uniform
@@ -292,3 +294,18 @@ def _life(env: ToyRoomKinematic, actions: Tensor, seed: int | list[int]) -> Tens
     """Return what is sensed at reset and after each decision, shape `(decisions, A, sensors)`."""
     first, _ = env.reset(seed=seed)
     return torch.stack([first, *(env.step(action)[0] for action in actions)])
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
+def test_copies_and_pickles_have_a_camera_of_their_own(
+    copied: Callable[[ToyRoomKinematic], ToyRoomKinematic],
+) -> None:
+    env = ToyRoomKinematic(2, render_mode="rgb_array", width=32, height=24)
+    env.reset(seed=1)
+    pictures = env.render()
+    twin = copied(env)
+    twin.step(np.zeros((2, 3), np.float32))
+    twin.render()
+    twin.close()
+    np.testing.assert_array_equal(np.array(env.render()), np.array(pictures))
+    env.close()

@@ -1,9 +1,11 @@
 """The toy room that pybullet simulates: the contract, its physics and its exact resuming."""
 
+import copy
 import hashlib
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 from scripts.benchmarks.world_accuracy import compare
-from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract
+from tests.envs.contract import F1, F2, F3, ROOM, ToyRoomContract, pickled
 from torch_iac_envs.toy_room import ToyRoom
 
 ID = "torch_iac_envs/ToyRoom-v0"
@@ -331,3 +333,36 @@ def test_without_the_engine_there_is_the_kinematic_room() -> None:
     room = "torch_iac_envs/ToyRoomKinematic-v0"
     make = f"sys.modules['pybullet'] = None\ngymnasium.make_vec({room!r}, 2); print('made')"
     assert said_by_python(make) == "made\n"
+
+
+# Copies.
+
+
+@pytest.mark.parametrize("render_mode", [None, "rgb_array", "rgb_array_list"])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickled])
+def test_copies_and_pickles_have_an_engine_of_their_own(
+    copied: Callable[[ToyRoom], ToyRoom], render_mode: str | None
+) -> None:
+    env = ToyRoom(render_mode=render_mode, keyframe_every=3, width=32, height=24)
+    env.reset(seed=1)
+    for _ in range(4):
+        env.step(np.array([1.0, 0.2, F1], np.float32))
+    twin = copied(env)
+    twin.reset(seed=2)
+    twin = copied(env)
+    np.testing.assert_array_equal(np.array(twin.render()), np.array(env.render()))
+    action = np.array([0.3, 1.0, F1], np.float32)
+    moved = [twin.step(action)[0] for _ in range(4)]
+    twin.close()
+    np.testing.assert_array_equal(moved, [env.step(action)[0] for _ in range(4)])
+    env.close()
+    closed = copied(env)
+    closed.close()
+
+
+def test_a_window_is_not_copied(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = ToyRoom()
+    monkeypatch.setattr(env._physics, "_window", True)
+    with pytest.raises(TypeError, match=r"a room with a window .* must not be copied"):
+        copy.deepcopy(env)
+    env.close()

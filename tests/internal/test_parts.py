@@ -41,9 +41,9 @@ class Keeping:
         self.secret = secret
 
 
-def ring() -> int:
+def ring(times: int = 1) -> int:
     """A function of a module."""
-    return 1
+    return times
 
 
 KINDS: dict[str, type] = {"Wheel": Wheel}

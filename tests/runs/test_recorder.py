@@ -1,7 +1,10 @@
 """What a run leaves behind."""
 
+import copy
 import json
+import pickle
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -413,3 +416,26 @@ def test_logs_become_fewer_as_a_run_grows_old() -> None:
     assert [log_interval(age, 100) for age in ages] == [100, 100, 200, 400, 800, 1600]
     n_logs = [sum(n % log_interval(n, 1) == 0 for n in range(1, 500 * 2**k)) for k in range(1, 7)]
     assert n_logs == [999 + 500 * k for k in range(6)]
+
+
+def test_two_recorders_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a", SyntheticPopulation(1, 1))
+    with pytest.raises(BlockingIOError, match=r"a is in use: process \d+ on"):
+        Recorder(tmp_path / "a", SyntheticPopulation(1, 1), resume=True)
+    recorder.close()
+    Recorder(tmp_path / "a", SyntheticPopulation(1, 1), resume=True).close()
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_recorder_is_not_copied(tmp_path: Path, copied: Callable[[Any], Any]) -> None:
+    recorder = Recorder(tmp_path / "a", SyntheticPopulation(1, 1))
+    with pytest.raises(TypeError, match="a recorder must not be copied, since it writes into"):
+        copied(recorder)
+    recorder.close()
+
+
+def test_seeds_that_no_column_holds_are_refused(tmp_path: Path) -> None:
+    agents = SyntheticPopulation(1, 1)
+    agents.seeds = (2**63,)
+    with pytest.raises(ValueError, match="seeds must fit into 64 bits to be recorded, got 92233"):
+        Recorder(tmp_path / "a", agents)

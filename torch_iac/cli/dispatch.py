@@ -44,6 +44,8 @@ def run(asked: Train | Options, words: Sequence[str]) -> None:
             export(asked)
         else:
             replay(asked)
+    except BrokenPipeError:  # nobody reads the answer any more
+        raise
     except (ValueError, OSError, FloatingPointError, gym.error.Error) as error:
         leave(2, one_line(error))
     except StoppedBySignalError as stopped:

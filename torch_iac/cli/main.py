@@ -4,10 +4,11 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from torch_iac.cli.exits import leave, one_line
+from torch_iac.cli.streams import answering, open_missing
 from torch_iac.cli.typos import check_command, check_options
 
 if TYPE_CHECKING:
@@ -36,7 +37,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: The words after `torch-iac`; those of the command line if none are given.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments is not None:
+        _main(list(arguments))
+        return
+    open_missing()
+    with answering():
+        # Only a program may be ended by Ctrl-C, not a caller of this function.
+        _main(sys.argv[1:], _ended_by_ctrl_c())
+
+
+def _main(words: list[str], importing: AbstractContextManager[None] | None = None) -> None:
+    """Run the command; `importing` is around all before it begins."""
     if words[:1] in (["--help"], ["-h"]):
         print(_help())  # noqa: T201 - the command's answer
     elif words[:1] == ["--version"]:
@@ -44,8 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         print(f"torch-iac {__version__}")  # noqa: T201 - the command's answer
     else:
-        # Only a program may be ended by it, not a caller of this function.
-        with _ended_by_ctrl_c() if arguments is None else nullcontext():
+        with importing or nullcontext():
             options = _options(words)
             from torch_iac.cli.dispatch import run
         run(options, words)
@@ -79,6 +89,8 @@ def _options(words: Sequence[str]) -> "Train | Options":
         from torch_iac.cli.commands import parse
 
         return parse(words)
+    except BrokenPipeError:  # of the help's reader
+        raise
     except (ValueError, OSError) as error:  # OSError: a file of --config
         leave(2, one_line(error))
 

@@ -20,6 +20,7 @@ import torch
 from torch_iac.compare.plan import Job
 from torch_iac.experiment import Experiment, StoppedError
 from torch_iac.internal.bars import tqdm
+from torch_iac.internal.files import lock
 from torch_iac.internal.parts import make_importable
 from torch_iac.internal.stop_signals import stopping
 
@@ -340,11 +341,6 @@ def lock_file(log: IO[str]) -> Iterator[None]:
     Raises:
         BlockingIOError: Another process is making it.
     """
-    if os.name == "posix":
-        import fcntl
-
-        try:
-            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise BlockingIOError(f"another process is at the run of {log.name}") from None
+    if not lock(log):
+        raise BlockingIOError(f"another process is at the run of {log.name}")
     yield

@@ -1,15 +1,25 @@
-"""Atomic writes; strict parsing of untrusted JSON."""
+"""Atomic writes; locks between processes; strict parsing of untrusted JSON."""
 
+import errno
 import json
 import math
 import os
+import socket
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+from weakref import finalize
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+LOCK = ".lock"
+"""What the file is called by which a folder is locked."""
+
+LOCKED_BYTE = 2**20
+"""On Windows a byte is locked, beyond what others must read: who has locked it."""
 
 MOST_NESTED = 100
 """Deepest nesting of JSON, far below Python's own limit."""
@@ -29,7 +39,7 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
     Raises:
         OSError: The disk refuses it.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # others may write it too
     try:
         write(temporary)
         sync(temporary)
@@ -39,6 +49,65 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
         raise
     temporary.replace(path)
     sync_names(path.parent)
+
+
+def remove_temporary(folder: Path) -> None:
+    """Remove what `replace` was writing in a folder when its process was killed."""
+    for path in folder.glob(".*.tmp"):
+        if path.is_file():
+            path.unlink(missing_ok=True)
+
+
+class FolderLock:
+    """Keeps other processes from writing into a folder, until it is released or the process dies.
+
+    Where the file system has no locks, nothing is kept from anything.
+
+    Args:
+        folder: Which is there.
+
+    Attributes:
+        release: Lets others have the lock; calling it twice is allowed.
+
+    Raises:
+        BlockingIOError: Another process has the lock; the message names it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            file = (folder / LOCK).open("a+", encoding="utf-8")
+        except OSError:  # such as a folder that is read-only, which refuses the first file itself
+            self.release: Callable[[], object] = lambda: None
+            return
+        self.release = finalize(self, file.close)
+        if not lock(file):
+            file.seek(0)
+            who = file.read(200).strip() or "another process"
+            self.release()
+            raise BlockingIOError(f"{folder} is in use: {who} writes into it; wait until it ends")
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        file.flush()
+
+
+def lock(file: IO[str]) -> bool:
+    """Lock an open file until it is closed; return whether no other process has locked it.
+
+    Where there are no locks, none has.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(LOCKED_BYTE)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK)
+    return True
 
 
 def write_table(path: Path, table: pa.Table) -> None:

@@ -25,7 +25,14 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from torch_iac.agent import IAC
-from torch_iac.internal.files import dump_json, parse_json, replace, sync, sync_names
+from torch_iac.internal.files import (
+    dump_json,
+    parse_json,
+    remove_temporary,
+    replace,
+    sync,
+    sync_names,
+)
 from torch_iac.internal.serialize import pack, unpack
 from torch_iac.internal.state import State
 
@@ -198,6 +205,7 @@ class Checkpoints:
         for path in self.folder.iterdir():
             if _TEMPORARY.fullmatch(path.name):  # left by a run that was killed
                 shutil.rmtree(path, ignore_errors=True)
+        remove_temporary(self.folder)
 
     def _free(self, n_decisions: int) -> Path:
         """Return a folder that is not there yet: nothing valid is ever overwritten."""

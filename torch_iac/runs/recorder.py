@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, NoReturn, Protocol, Self
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torch_iac.config import IACConfig
 from torch_iac.experts.hybrid import HybridExperts
-from torch_iac.internal.files import dump_json, replace, write_table
+from torch_iac.internal.files import FolderLock, dump_json, remove_temporary, replace, write_table
 from torch_iac.internal.processor import processor
 from torch_iac.internal.torch_defaults import with_torch_defaults
 from torch_iac.internal.validation import check_count, whole
@@ -122,6 +122,7 @@ class Recorder:
         resume: Whether the folder holds this run already, begun before.
 
     Raises:
+        BlockingIOError: Another process writes into the folder.
         FileExistsError: The folder already holds a run, and it is not to be resumed.
         NotADirectoryError: The folder is a file, or would lie in one.
         ValueError: `log_every` or `rows_per_part` is below 1, `n_recorded` is not in [1, A], or a
@@ -155,7 +156,7 @@ class Recorder:
             if name in RESERVED:
                 raise ValueError(f"shadows must not be called {', '.join(RESERVED)}, got {name}")
         self.folder = Path(folder)
-        _claim(self.folder, resume)
+        self._lock = _claim(self.folder, resume)
         known = {
             "versions": {"python": platform.python_version(), **_versions()},
             "processor": _processor(self.folder) if resume else processor(),
@@ -289,6 +290,15 @@ class Recorder:
         if self._n_parts:
             measures = summarise(load_run(self.folder), seconds)
             _write_json(self.folder / SUMMARY, measures)
+        self._lock.release()
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"a recorder must not be copied, since it writes into {self.folder}")
 
     def _settle(self) -> None:
         """Add what was summed up since the last time, all in one window, to that window."""
@@ -331,8 +341,11 @@ class Recorder:
         if kind is None:
             self.close()
         else:
-            self.flush()
-            self._dashboard.close()
+            try:
+                self.flush()
+            finally:
+                self._dashboard.close()
+                self._lock.release()
 
 
 def log_interval(n_decisions: int, log_every: int) -> int:
@@ -371,18 +384,34 @@ def _summed_values(step: Step) -> list[Tensor]:
     return values if step.used_network is None else [*values, step.used_network.double()]
 
 
-def _claim(folder: Path, resume: bool) -> None:
-    """Make a folder ready for a run, unless it already holds another one."""
+def _claim(folder: Path, resume: bool) -> FolderLock:
+    """Make a folder ready for a run, unless it already holds another one, and lock it."""
     files = [path for path in (folder, *folder.parents) if path.is_file()]
     if files:
         raise NotADirectoryError(f"{folder} cannot be a run folder: {files[0]} is a file")
-    held = any((folder / name).exists() for name in (CONFIG, REGIONS, SUMMARY))
-    held = held or any(folder.glob(EVENTS))
-    if (held or (folder / STEPS).exists()) and not resume:
+    if not resume:
+        _check_free(folder)  # before anything in it is touched
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FolderLock(folder)
+    try:
+        if not resume:
+            _check_free(folder)  # another process may have begun a run in it since
+        (folder / SUMMARY).unlink(missing_ok=True)  # its presence means that a run has ended
+        for kind in (STEPS, WINDOWS):
+            (folder / kind).mkdir(exist_ok=resume)
+        for place in (folder, folder / STEPS, folder / WINDOWS):
+            remove_temporary(place)  # of a run that was killed
+    except BaseException:
+        lock.release()
+        raise
+    return lock
+
+
+def _check_free(folder: Path) -> None:
+    """Refuse a folder that holds a run."""
+    held = any((folder / name).exists() for name in (CONFIG, REGIONS, SUMMARY, STEPS))
+    if held or any(folder.glob(EVENTS)):
         raise FileExistsError(f"{folder} already holds a run; resume it or choose another folder")
-    (folder / SUMMARY).unlink(missing_ok=True)  # its presence means that a run has ended
-    for kind in (STEPS, WINDOWS):
-        (folder / kind).mkdir(parents=True, exist_ok=resume)
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

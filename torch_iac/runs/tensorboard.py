@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata
-from torch.utils.tensorboard import FileWriter
 from torch.utils.tensorboard.summary import custom_scalars
 
 from torch_iac.records import Genealogy, RegionSummary
 from torch_iac.regions.tree import NONE
+from torch_iac.runs.event_file import EventFile
 from torch_iac.runs.followed_regions import Family, Followed, Visits
 from torch_iac.runs.schema import EVENTS, USED_NETWORK, shadow_error
 from torch_iac.runs.tensorboard_images import (
@@ -121,7 +121,7 @@ class Dashboard:
         self._n_logs = 0
         self._undescribed = DESCRIPTIONS | _descriptions(zone_names, shadows)
         self._folder, self._older = folder, set(folder.glob(EVENTS))
-        self._writer = FileWriter(str(folder))
+        self._writer = EventFile(folder)
         layout = custom_scalars(_layout(zone_names, shadows))  # type: ignore[no-untyped-call]
         self._writer.add_summary(layout)
 
