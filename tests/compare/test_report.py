@@ -18,7 +18,7 @@ from tensorboard.plugins.hparams.metadata import (
 )
 
 from tests.synthetic_run import write_run
-from torch_iac import Error, Experiment, IACConfig
+from torch_iac import Error, Experiment, HybridExperts, IACConfig
 from torch_iac.analysis.intervals import Estimate, holm
 from torch_iac.compare.executors import run_experiment
 from torch_iac.compare.plan import Comparison, Variant
@@ -183,7 +183,7 @@ def test_the_file_has_what_bold_is_made_of(comparison: Comparison) -> None:
 
 def test_shares_of_the_network_are_measured_of_hybrid_experts(tmp_path: Path) -> None:
     world = Experiment(world="Pendulum-v1", bounds_from=50, steps=60)
-    hybrid = replace(world, config=IACConfig(experts="hybrid", meta=None))
+    hybrid = replace(world, config=IACConfig(experts=HybridExperts(), meta=None))
     variants = (Variant("knn", world), Variant("hybrid", hybrid))
     comparison = Comparison(tmp_path, variants, n_seeds=2, block=2)
     for job in comparison.jobs():
