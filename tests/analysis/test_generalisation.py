@@ -4,7 +4,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-import pyarrow.parquet as pq
+import pyarrow as pa
 import pytest
 
 import torch_iac_envs  # noqa: F401 - registers the worlds
@@ -14,9 +14,11 @@ from torch_iac.analysis.generalisation import (
     Transitions,
     collect,
     errors_on,
+    load_tests,
     plateau,
     record_tests,
 )
+from torch_iac.runs.reader import Run
 
 WORLDS = ["torch_iac_envs/ToyRoomKinematic-v0", "torch_iac_envs/ToyRoom-v0"]
 F2, F3 = 1, 2
@@ -83,25 +85,31 @@ def test_what_was_learnt_is_predicted(space: SensorimotorSpace) -> None:
     assert errors_on(learnt, agent).absolute.item() == pytest.approx(0, abs=1e-6)
 
 
-def test_tests_that_are_ahead_of_the_agents_are_dropped(
+def test_a_test_is_a_file_of_its_own_and_is_written_once_more_after_a_kill(
     space: SensorimotorSpace, tmp_path: Path
 ) -> None:
-    """A run that was killed goes on from an earlier checkpoint."""
+    """A run that was killed goes on from an earlier checkpoint, and comes to the same."""
     sensors = np.array([[1.0, 2.0]], np.float32)
     sets = {"met": Transitions(sensors * 0, sensors, sensors[:, :1])}
 
-    def tested(n_decisions: int) -> list[int]:
+    def tested(n_decisions: int) -> pa.Table:
         agent = IAC(space)
         for _ in range(n_decisions):
             agent.act(sensors)
             agent.observe(sensors)
         record_tests(agent, sets, tmp_path)
-        steps: list[int] = pq.read_table(tmp_path / TESTS)["step"].to_pylist()
-        return steps
+        return load_tests(Run(tmp_path))
 
-    assert tested(1) == [1]
-    assert tested(3) == [1, 3]
-    assert tested(2) == [1, 2]
+    with pytest.raises(FileNotFoundError, match="holds no generalisation tests"):
+        load_tests(Run(tmp_path))
+    assert tested(10)["step"].to_pylist() == [10]
+    first = next((tmp_path / TESTS).iterdir())
+    before = first.stat().st_mtime_ns
+    found = tested(20)
+    assert found["step"].to_pylist() == [10, 20]
+    assert first.stat().st_mtime_ns == before
+    assert tested(9)["step"].to_pylist() == [9, 10, 20]
+    assert tested(20).slice(1) == found
 
 
 def test_a_plateau_begins_where_errors_cease_to_change() -> None:

@@ -59,3 +59,35 @@ def test_an_answer_that_cannot_be_written_is_said_in_one_sentence() -> None:
         )
     assert answer.returncode == 2
     assert answer.stderr == "torch-iac: the answer cannot be written: No space left on device\n"
+
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize("locale", [ASCII, {"LC_ALL": "C.UTF-8"}], ids=["ASCII", "UTF-8"])
+@pytest.mark.parametrize("name", [b"r\xffn", "rün".encode()])
+def test_a_run_folder_may_be_called_by_any_bytes(
+    tmp_path: Path, name: bytes, locale: dict[str, str]
+) -> None:
+    folder = os.fsencode(tmp_path) + b"/" + name
+    environment = {**os.environ, **locale}
+    for words in ([*SHORT, "--out", folder], ["resume", folder, "--steps", "7"]):
+        answer = subprocess.run(
+            [*PROGRAM, *words], env=environment, capture_output=True, timeout=90
+        )
+        assert (answer.returncode, b"torch-iac" in answer.stderr) == (0, False)
+        assert b"Look at " + folder in answer.stdout
+    assert load_run(Path(os.fsdecode(folder))).n_decisions == 7
+
+
+def test_what_the_locale_cannot_write_is_escaped() -> None:
+    answer = subprocess.run(
+        [*PROGRAM, "train", "--world", "wörld\u2028"],
+        env={**os.environ, **ASCII},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert answer.returncode == 2
+    assert "wörld".encode() in answer.stderr
+    assert b"Traceback" not in answer.stderr

@@ -4,13 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
-import pyarrow.parquet as pq
 import pytest
 
 from tests.cli.test_cli import typed
 from torch_iac import Experiment, IACConfig, Random, StoppedError, resume
 from torch_iac.analysis import generalisation
-from torch_iac.analysis.generalisation import TESTS
+from torch_iac.analysis.generalisation import load_tests
 from torch_iac.compare.engine import run_variants
 from torch_iac.compare.plan import Job, Variant, load_comparison, plan_comparison
 
@@ -67,8 +66,8 @@ def test_a_run_that_is_stopped_and_resumed_has_the_tests_of_one_that_is_not(
     with pytest.raises(StoppedError):
         experiment.run(tmp_path / "stopped", stop=lambda: next(asked))
     resumed = resume(tmp_path / "stopped")
-    tests = pq.read_table(whole.folder / TESTS)
-    assert tests == pq.read_table(resumed.folder / TESTS)
+    tests = load_tests(whole)
+    assert tests == load_tests(resumed)
     rows = [(row["step"], row["seed"], row["set"]) for row in tests.to_pylist()]
     assert rows == [(4 * i, s, w) for i in range(1, 6) for w in ("met", "anywhere") for s in (0, 1)]
 

@@ -89,7 +89,8 @@ def write_tests(run: Run, absolute: Sequence[float], squared: Sequence[float]) -
         for i, (a, s) in enumerate(zip(absolute, squared, strict=True))
         for seed in reversed(run.seeds)
     ]
-    write_table(run.folder / TESTS, pa.Table.from_pylist(rows))
+    (run.folder / TESTS).mkdir()
+    write_table(run.folder / TESTS / "test-000000000000.parquet", pa.Table.from_pylist(rows))
 
 
 def test_errors_fall_to_a_plateau(tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
 import torch
 from numpy.typing import NDArray
 
 from torch_iac.agent import IAC
-from torch_iac.internal.files import write_table
+from torch_iac.internal.files import open_table, write_table
 from torch_iac.internal.validation import check_count
 from torch_iac.runs.reader import Run
 from torch_iac.space import SensorimotorSpace
@@ -43,8 +43,8 @@ N_TESTED = 250
 TEST_SEED = 1_000_000
 """Seeds the test sets; no robot has it."""
 
-TESTS = "generalisation.parquet"
-"""File of the generalisation tests in a run folder."""
+TESTS = "generalisation"
+"""Folder of the generalisation tests in a run folder: a file for each, named by its decision."""
 
 
 @dataclass(frozen=True)
@@ -175,16 +175,27 @@ def tested(agent: IAC, sets: Mapping[str, Transitions]) -> list[dict[str, Any]]:
 
 
 def record_tests(agent: IAC, sets: Mapping[str, Transitions], folder: Path) -> None:
-    """Add how well the agents predict now to the tests in a run folder.
+    """Write how well the agents predict now into a run folder.
 
-    Tests of later decisions, which a run that was killed has left, are dropped.
+    Tests of later decisions, which a run that was killed has left, are the same that will be
+    written, and stay until they are.
     """
     rows = pa.Table.from_pylist(tested(agent, sets))
-    path = folder / TESTS
-    if path.exists():
-        before = pq.read_table(path, filters=[("step", "<", agent.n_decisions)])
-        rows = pa.concat_tables([before, rows])
-    write_table(path, rows)
+    (folder / TESTS).mkdir(exist_ok=True)
+    write_table(folder / TESTS / f"test-{agent.n_decisions:012d}.parquet", rows)
+
+
+def load_tests(run: Run) -> pa.Table:
+    """Return the tests of a run, in order: `step`, `seed`, `set`, `absolute` and `squared`.
+
+    Raises:
+        FileNotFoundError: It has none.
+        ValueError: One cannot be read.
+    """
+    paths = sorted((run.folder / TESTS).glob("test-*.parquet"))
+    if not paths:
+        raise FileNotFoundError(f"{run.folder} holds no generalisation tests")
+    return pa.concat_tables(open_table(path).read() for path in paths)
 
 
 def sets_aside(world: str, options: Mapping[str, Any]) -> dict[str, Transitions]:
@@ -219,7 +230,7 @@ def tests_of(runs: Sequence[Run], which: str, error: str) -> tuple[np.ndarray, n
         which: On which of `TEST_SETS`.
         error: Which error, absolute or squared, in scaled units.
     """
-    tables = [pq.read_table(run.folder / TESTS, filters=[("set", "=", which)]) for run in runs]
+    tables = [load_tests(run).filter(pc.field("set") == which) for run in runs]
     rows = pa.concat_tables(tables).sort_by([("step", "ascending"), ("seed", "ascending")])
     steps = np.unique(rows["step"].to_numpy())
     return steps, rows[error].to_numpy().reshape(len(steps), -1)

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from torch_iac.cli.exits import leave, one_line
-from torch_iac.cli.streams import answering, open_missing
+from torch_iac.cli.streams import answering, prepare
 from torch_iac.cli.typos import check_command, check_options
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if arguments is not None:
         _main(list(arguments))
         return
-    open_missing()
+    prepare()
     with answering():
         # Only a program may be ended by Ctrl-C, not a caller of this function.
         _main(sys.argv[1:], _ended_by_ctrl_c())

@@ -1,9 +1,11 @@
 """The streams of a command: those that are not there, and readers that have gone."""
 
+import codecs
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 
 from torch_iac.cli.exits import leave, one_line
 
@@ -14,7 +16,29 @@ STREAMS = {"stdin": "r", "stdout": "w", "stderr": "w"}
 """Python's streams, in the order of their numbers for the operating system."""
 
 
-def open_missing() -> None:
+def prepare() -> None:
+    """Make the three streams such that a command can answer, whatever it has to say."""
+    _open_missing()
+    codecs.register_error("answer", _as_it_can_be)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="answer")
+
+
+def _as_it_can_be(error: UnicodeError) -> tuple[bytes, int]:
+    """Return how characters are written that the locale has not, for Python's encoder.
+
+    Bytes of a path that are no text in it are written as they are, all others are escaped.
+    """
+    assert isinstance(error, UnicodeEncodeError)  # noqa: S101 - nothing is decoded
+    written = b""
+    for character in error.object[error.start : error.end]:
+        is_byte = "\udc80" <= character <= "\udcff"
+        written += character.encode("ascii", "surrogateescape" if is_byte else "backslashreplace")
+    return written, error.end
+
+
+def _open_missing() -> None:
     """Open those of the three streams that the program was started without, to nowhere.
 
     Otherwise the next file that is opened would get the number of such a stream, and what other

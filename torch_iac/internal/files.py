@@ -114,10 +114,24 @@ def write_table(path: Path, table: pa.Table) -> None:
     """Write a Parquet file as `replace` does."""
     # Dictionaries make floats slower to write and larger.
     few = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
-    replace(
-        path,
-        lambda to: pq.write_table(table, to, use_dictionary=few, compression="zstd"),
-    )
+
+    def write(to: Path) -> None:
+        with pa.OSFile(os.fsencode(to), "wb") as file:  # PyArrow takes names in UTF-8 only
+            pq.write_table(table, file, use_dictionary=few, compression="zstd")
+
+    replace(path, write)
+
+
+def open_table(path: Path) -> pq.ParquetFile:
+    """Open a Parquet file, whatever bytes its name is made of.
+
+    Raises:
+        ValueError: It cannot be read.
+    """
+    try:
+        return pq.ParquetFile(pa.OSFile(os.fsencode(path), "rb"))
+    except (OSError, pa.ArrowException) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
 
 
 def sync(path: Path) -> None:

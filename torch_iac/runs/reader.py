@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from torch_iac.internal.files import parse_json
+from torch_iac.internal.files import open_table, parse_json
 from torch_iac.internal.validation import check_count
 from torch_iac.runs.schema import (
     CONFIG,
@@ -157,7 +156,7 @@ class Run:
     @property
     def n_decisions(self) -> int:
         """How many decisions each agent has taken so far."""
-        n_rows: int = sum(_open_part(path).metadata.num_rows for path in self.parts())
+        n_rows: int = sum(open_table(path).metadata.num_rows for path in self.parts())
         return n_rows // self.n_recorded
 
     @cached_property
@@ -352,15 +351,8 @@ def _first_decisions(windows: pa.Table) -> NDArray[np.int64]:
     return steps
 
 
-def _open_part(path: Path) -> pq.ParquetFile:
-    try:
-        return pq.ParquetFile(path)
-    except (OSError, pa.ArrowException) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
-
-
 def _read_part(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    part = _open_part(path)
+    part = open_table(path)
     unknown = set(columns or ()) - set(part.schema_arrow.names)
     if unknown:
         raise ValueError(f"{path} has no column {sorted(unknown)[0]}")
