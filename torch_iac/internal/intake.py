@@ -24,7 +24,8 @@ def own_tensor(values: Any, what: str, device: torch.device | None = None) -> Te
     if isinstance(values, Tensor):
         if values.is_complex():
             raise ValueError(f"{what} must be real numbers, got {values.dtype}")
-        return values.detach().to(device, torch.float32, copy=True)
+        known = values.detach() if values.requires_grad else values
+        return known.to(device, torch.float32, copy=True)
     try:
         array = np.array(values, order="C")
     except (TypeError, ValueError):
