@@ -6,8 +6,8 @@ SAC (stable-baselines3) learns to reach the far end of a maze: with the maze's r
 with a bonus for exploration added, which is that of random network distillation, of the intrinsic
 curiosity module, or learning progress. Prints how they explored and what they learnt, and how
 probably each bonus improves on none, and draws it. With `--pilot` it prints what each bonus does
-with several coefficients on other seeds, by which the coefficients were chosen. Runs that are in
-the folder already are not run again. Needs the extra `sparse`.
+with several coefficients on other seeds, by which to choose them. Runs that are in the folder
+already are not run again. Needs the extra `sparse`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -48,7 +48,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 COEFFICIENTS = {NONE: 0.0, "rnd": 1.0, "icm": 1.0, "progress": 1.0}
-"""What each bonus is multiplied by, chosen by `--pilot`."""
+"""What each bonus is multiplied by; `--pilot` says how it does with others."""
 
 GRID = (0.2, 1.0, 5.0)
 """What was tried for each."""
