@@ -6,8 +6,8 @@ SAC (stable-baselines3) learns to reach the far end of a maze: with the maze's r
 with a bonus for exploration added, which is that of random network distillation, of the intrinsic
 curiosity module, or learning progress. Prints how they explored and what they learnt, and how
 probably each bonus improves on none, and draws it. With `--pilot` it prints what each bonus does
-with several coefficients on other seeds, by which the coefficients were chosen. Runs that are in
-the folder already are not run again. Needs the extras `sb3` and `worlds`.
+with several coefficients on other seeds, by which to choose them. Runs that are in the folder
+already are not run again. Needs the extras `sb3` and `worlds`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,10 +24,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
-from torch_iac.analysis.bootstrap import Estimate, band, mean, probability_larger
 
-from scripts.studies.claims import in_words
 from scripts.studies.sparse_runs import BONUSES, NONE, Outcome, Task, run
+from torch_iac.analysis.intervals import (
+    PART,
+    POSITIVE,
+    Estimate,
+    band,
+    in_words,
+    mean,
+    probability_larger,
+)
 from torch_iac.analysis.style import (
     COLOURS,
     LINES,
@@ -48,7 +55,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 COEFFICIENTS = {NONE: 0.0, "rnd": 1.0, "icm": 1.0, "progress": 1.0}
-"""What each bonus is multiplied by, chosen by `--pilot`."""
+"""What each bonus is multiplied by; `--pilot` says how it does with others."""
 
 GRID = (0.2, 1.0, 5.0)
 """What was tried for each."""
@@ -65,7 +72,7 @@ class Measure:
 
     title: str
     of: Callable[[Outcome], float]
-    unit: str = ".0%"
+    is_share: bool = True
     sign: int = 1
     """1 if more is better, -1 if less is."""
 
@@ -73,7 +80,7 @@ class Measure:
 MEASURES = (
     Measure("success, last quarter", lambda run: run.successes(4)[-1]),
     Measure("success in tests", lambda run: run.passed.mean()),
-    Measure("first success (decision)", lambda run: run.first_success, ",.0f", -1),
+    Measure("first success (decision)", lambda run: run.first_success, False, -1),
     Measure("maze visited", lambda run: run.coverages(1)[0]),
 )
 
@@ -124,7 +131,7 @@ def print_means(runs: Mapping[str, Sequence[Outcome]]) -> None:
     print(f"| | {' | '.join(measure.title for measure in MEASURES)} |")
     print("|---" * (1 + len(MEASURES)) + "|")
     for name, of in runs.items():
-        cells = [in_words(mean(values(measure, of)), measure.unit) for measure in MEASURES]
+        cells = [_cell(measure, of) for measure in MEASURES]
         print(f"| {name} ({len(of)}) | {' | '.join(cells)} |")
 
 
@@ -133,8 +140,14 @@ def print_improvements(runs: Mapping[str, Sequence[Outcome]]) -> None:
     print(f"\n| improves on {LABELS[NONE]} | {' | '.join(of.title for of in MEASURES)} |")
     print("|---" * (1 + len(MEASURES)) + "|")
     for bonus in BONUSES[1:]:
-        cells = [in_words(improvement(of, runs[bonus], runs[NONE]), ".2f") for of in MEASURES]
+        cells = [in_words(improvement(of, runs[bonus], runs[NONE])) for of in MEASURES]
         print(f"| {LABELS[bonus]} | {' | '.join(cells)} |")
+
+
+def _cell(measure: Measure, runs: Sequence[Outcome]) -> str:
+    """Return the mean of a measure over runs, and its interval."""
+    within = PART if measure.is_share else POSITIVE
+    return in_words(mean(values(measure, runs), within), percent=measure.is_share)
 
 
 def improvement(measure: Measure, one: Sequence[Outcome], other: Sequence[Outcome]) -> Estimate:
@@ -171,7 +184,7 @@ def draw_curve(panel: Axes, bonus: str, runs: Sequence[Outcome], curves: Sequenc
     ends = np.arange(1, N_WINDOWS + 1) * n_decisions / N_WINDOWS
     of_windows = np.stack(curves, axis=1)
     panel.plot(ends, of_windows.mean(axis=1), linewidth=1.2, **LOOKS[bonus])
-    panel.fill_between(ends, *band(of_windows), **band_style(LOOKS[bonus]["color"]))
+    panel.fill_between(ends, *band(of_windows, PART), **band_style(LOOKS[bonus]["color"]))
     time_axis(panel, n_decisions, n_ticks=4)
     panel.set_ylim(0, 1)
     panel.yaxis.set_major_formatter(PercentFormatter(1.0))
