@@ -1,11 +1,14 @@
 """The command `torch-iac replay`."""
 
+from typing import Any
+
 from torch_iac.cli.commands import Replay
 from torch_iac.experiment import experiment_of
 from torch_iac.internal.bars import tqdm
 from torch_iac.replay.scenes import find_stages, relive, stages_at
 from torch_iac.runs.reader import Run, load_run
 from torch_iac.toy_room import WORLDS
+from torch_iac.worlds.bounds import recorded_bounds
 from torch_iac.worlds.vector import World
 
 PICTURE_MODES = ("rgb_array_list", "rgb_array")
@@ -53,12 +56,17 @@ def _remake(run: Run) -> tuple[World, World]:
     """
     from torch_iac.replay.frames import ROOM
 
-    experiment = experiment_of(run)
-    world = experiment.make_world(1)
+    experiment, bounds = experiment_of(run), recorded_bounds(run.config)
+
+    def made(**options: Any) -> World:
+        world = experiment.make_world(1, **options)
+        return world if bounds is None else bounds.clip(world)
+
+    world = made()
     modes = [mode for mode in PICTURE_MODES if mode in world.metadata.get("render_modes", ())]
     if not modes:
         world.close()
         raise ValueError(f"the world of {run.folder} draws no pictures, so it cannot be replayed")
     is_ours = experiment.world in WORLDS
     size = dict(zip(("width", "height"), ROOM, strict=True)) if is_ours else {}
-    return world, experiment.make_world(1, render_mode=modes[0], **size)
+    return world, made(render_mode=modes[0], **size)

@@ -199,7 +199,8 @@ def _recorded(rows: pa.Table, kind: str, of: Sequence[Dimension]) -> NDArray[np.
 
 def _array(sensors: Any) -> NDArray[np.float32]:
     """Return what the robot of a single world senses, shape `(S,)`."""
-    values: NDArray[np.float32] = torch.as_tensor(sensors).numpy(force=True)[0]
+    first = torch.as_tensor(sensors)[0].float()  # as it is recorded
+    values: NDArray[np.float32] = first.numpy(force=True)
     return values
 
 
