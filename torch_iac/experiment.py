@@ -180,7 +180,9 @@ class Experiment:
             values["config"] = IACConfig.from_json(values.pop(CONFIG_KEY))
         if isinstance(values.get("sensor_bounds"), Mapping):
             bounds = values["sensor_bounds"]
-            values["sensor_bounds"] = {name: tuple(of) for name, of in bounds.items()}
+            values["sensor_bounds"] = {
+                name: tuple(of) if isinstance(of, list) else of for name, of in bounds.items()
+            }
         experiment: Self = build(cls, values, "experiment")
         return experiment
 
@@ -422,7 +424,7 @@ class Experiment:
             return n_agents
         log.info(
             "Decisions are recorded of the first %d robots only, window sums of all: %s rows would "
-            "be more than --recorded-rows %s",
+            "be more than recorded_rows (%s)",
             self.recorded_agents,
             f"{n_rows:,}",
             f"{self.recorded_rows:,}",

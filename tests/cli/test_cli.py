@@ -275,7 +275,7 @@ def test_of_many_robots_a_few_are_recorded_and_it_is_said(
     assert (run.n_agents, run.n_recorded, run.n_decisions) == (5, 2, 260)
     assert caplog.messages[0] == (
         "Decisions are recorded of the first 2 robots only, window sums of all: 1,300 rows would "
-        "be more than --recorded-rows 100"
+        "be more than recorded_rows (100)"
     )
     said = "Every decision is recorded of the first 2 robots, windows of 250 decisions of all 5."
     assert said in answer.out.splitlines()

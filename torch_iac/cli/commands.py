@@ -1,12 +1,12 @@
 """Options of all commands but `torch-iac train`; parsing them does not import PyTorch."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 from torch_iac.cli.parser import POSITIONAL, REPEATED, Parser, sentence_of, with_values
+from torch_iac.internal.cores import n_cores
 from torch_iac.internal.validation import check_count
 from torch_iac.replay.length import N_DECISIONS
 
@@ -51,7 +51,7 @@ class Compare:
     block: int | None = None
     """How many robots of a variant are one run, as a population (for the kinematic world); by
     default as before, at first 1."""
-    processes: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    processes: int = field(default_factory=n_cores)
     """How many runs go on at once on this machine; by default one for each core that this
     process may use."""
     ray: str | None = None

@@ -21,6 +21,8 @@ def one_line(error: Exception) -> str:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if "mujoco" in text.lower() and "not installed" in text:
+        text += ", or pip install 'torch_iac[mujoco]'"
     return " ".join("; ".join([text, *getattr(error, "__notes__", ())]).split())
 
 

@@ -1,5 +1,7 @@
 """The command `torch-iac replay`."""
 
+from typing import Any
+
 from torch_iac.cli.commands import Replay
 from torch_iac.experiment import experiment_of
 from torch_iac.internal.bars import tqdm
@@ -54,14 +56,17 @@ def _remake(run: Run) -> tuple[World, World]:
     """
     from torch_iac.replay.frames import ROOM
 
-    experiment = experiment_of(run)
-    world = experiment.make_world(1)
+    experiment, bounds = experiment_of(run), recorded_bounds(run.config)
+
+    def made(**options: Any) -> World:
+        world = experiment.make_world(1, **options)
+        return world if bounds is None else bounds.clip(world)
+
+    world = made()
     modes = [mode for mode in PICTURE_MODES if mode in world.metadata.get("render_modes", ())]
     if not modes:
         world.close()
         raise ValueError(f"the world of {run.folder} draws no pictures, so it cannot be replayed")
     is_ours = experiment.world in WORLDS
     size = dict(zip(("width", "height"), ROOM, strict=True)) if is_ours else {}
-    camera = experiment.make_world(1, render_mode=modes[0], **size)
-    bounds = recorded_bounds(run.config)  # sensors were clipped to them
-    return (world, camera) if bounds is None else (bounds.clip(world), bounds.clip(camera))
+    return world, made(render_mode=modes[0], **size)

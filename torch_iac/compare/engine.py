@@ -5,7 +5,6 @@ runs = run_variants("runs/drives", {"progress": Experiment(), "random": random},
 ```
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,6 +21,7 @@ from torch_iac.compare.plan import (
     plan_comparison,
 )
 from torch_iac.experiment import Experiment
+from torch_iac.internal.cores import n_cores
 from torch_iac.internal.stop_signals import stopping
 from torch_iac.internal.validation import check_count
 from torch_iac.runs.reader import Run
@@ -61,7 +61,7 @@ def run_variants(
         RuntimeError: A run failed; the others have ended.
         ValueError: Something is refused, or the folder holds runs of other experiments.
     """
-    processes = len(os.sched_getaffinity(0)) if processes is None else processes
+    processes = n_cores() if processes is None else processes
     check_count("processes", processes)
     variants = [Variant(name, experiment) for name, experiment in experiments.items()]
     comparison = plan_comparison(Path(folder), variants, n_seeds=n_seeds, seed=seed, block=block)

@@ -4,7 +4,7 @@ Shapes: `T` decisions, `A` agents, `Z` zones, `W` windows of decisions, `R` regi
 points of a curve.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from torch_iac.internal.files import open_table, parse_json
-from torch_iac.internal.validation import check_count
+from torch_iac.internal.validation import check_count, settled
 from torch_iac.runs.schema import (
     CONFIG,
     MAIN,
@@ -36,6 +36,26 @@ from torch_iac.space import SensorimotorSpace
 ERROR_WINDOW, DELAY = 150, 150
 """Over how many errors a mean error is taken, and how many lie between the two means that make
 learning progress, in a run whose config does not say."""
+
+
+IN_CONFIG: dict[str, Any] = {
+    "space": Mapping[str, Mapping[str, tuple[float, float]]],
+    "seeds": tuple[int, ...],
+    "zones": tuple[str, ...] | None,
+    "n_recorded": int,
+    "shadows": tuple[str, ...],
+    "iac": Mapping[str, Any],
+    "bounds": Mapping[str, tuple[str, ...]],
+}
+"""What the parts of `config.json` are that a run is read by."""
+
+IN_IAC: dict[str, Any] = {
+    "window": int,
+    "delay": int,
+    "inherit_history": bool,
+    "experts": Mapping[str, Any],
+}
+"""Of its `iac`."""
 
 
 def load_run(folder: Path | str) -> "Run":
@@ -72,6 +92,10 @@ class Run:
         missing = [key for key in ("space", "seeds", "zones") if key not in config]
         if missing:
             raise ValueError(f"{path} must be the config of a run, but it has no {missing[0]}")
+        try:
+            _check_config(config)
+        except ValueError as error:
+            raise ValueError(f"{path} must be the config of a run: {error}") from None
         return config
 
     @cached_property
@@ -360,6 +384,20 @@ def _read_part(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
         return part.read(columns)
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
+
+
+def _check_config(config: Mapping[str, Any]) -> None:
+    """Refuse a config whose parts are not of the types that a recorder writes."""
+    for part, hints in ((config, IN_CONFIG), (config.get("iac", {}), IN_IAC)):
+        for name in hints.keys() & part.keys():
+            settled(name, part[name], hints[name])
+    for name in ("actions", "sensors", "outcomes"):
+        if name not in config["space"]:
+            raise ValueError(f"space must have {name}, got none")
+    SensorimotorSpace.from_json(config["space"])
+    n_agents = len(config["seeds"])
+    if not 1 <= config.get("n_recorded", n_agents) <= n_agents:
+        raise ValueError(f"n_recorded must lie in [1, {n_agents}], got {config['n_recorded']}")
 
 
 def _read_json(path: Path) -> dict[str, Any]:

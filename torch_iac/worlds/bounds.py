@@ -146,10 +146,13 @@ def recorded_bounds(config: Mapping[str, Any]) -> Bounds | None:
     """Return the bounds of a run from its `config.json`; None if they are its world's own.
 
     Raises:
-        KeyError: The file lacks a part of them.
+        ValueError: The file lacks a part of them.
     """
     if "bounds" not in config:
         return None
+    for kind in ("given", "found"):
+        if kind not in config["bounds"]:
+            raise ValueError(f"bounds in config.json must have {kind}, got none")
     low, high = zip(*config["space"]["sensors"].values(), strict=True)
     box = Box(np.array(low), np.array(high), dtype=np.float64)
     return Bounds(box, tuple(config["bounds"]["given"]), tuple(config["bounds"]["found"]))
