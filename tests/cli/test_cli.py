@@ -410,6 +410,7 @@ def test_a_run_that_cannot_be_filmed_is_refused_with_one_sentence(
         ("figures", {"--pdf"}),
         ("replay", {"--at", "--decisions", "--agent", "--out"}),
         ("compare", {"--variant", "--ray"}),
+        ("export", {"--rerun", "--minari", "--agent"}),
     ],
 )
 def test_help_explains_every_option(command: str, some: set[str]) -> None:
