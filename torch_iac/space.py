@@ -177,7 +177,7 @@ class SensorimotorSpace:
         """
         return cls(
             *(
-                tuple(_dimension(name, *numbers) for name, numbers in bounds[kind].items())
+                tuple(_dimension(name, numbers) for name, numbers in bounds[kind].items())
                 for kind in ("actions", "sensors", "outcomes")
             )
         )
@@ -201,8 +201,13 @@ def _numbers(dimension: Dimension) -> list[float]:
     return bounds if dimension.n_values is None else [*bounds, dimension.n_values]
 
 
-def _dimension(name: str, low: float, high: float, n_values: float | None = None) -> Dimension:
-    return Dimension(name, low, high, None if n_values is None else int(n_values))
+def _dimension(name: str, numbers: Sequence[float]) -> Dimension:
+    if len(numbers) not in (2, 3):
+        raise ValueError(
+            f"{name} must have a low and a high bound, perhaps a number of values, got {numbers}"
+        )
+    low, high, *n_values = numbers
+    return Dimension(name, low, high, int(n_values[0]) if n_values else None)
 
 
 def _dimensions(env: HasSpaces, kind: Literal["action", "observation"]) -> tuple[Dimension, ...]:

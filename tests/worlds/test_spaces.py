@@ -265,7 +265,7 @@ def test_what_is_no_number_is_refused_in_one_sentence(
 @pytest.mark.parametrize(
     ("action_space", "sentence"),
     [
-        (spaces.Discrete(1), r"the bounds of action_0 must be finite and in order, got \[0, 0"),
+        (spaces.Discrete(1), r"the bounds of action_0 must be finite and in order, got \[0.0, 0.0"),
         (
             spaces.Box(0, 2**31 - 1, (1,), np.int64),
             "the values of action_0 must number from 2 to 1,048,576, got 2147483648",

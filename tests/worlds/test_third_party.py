@@ -214,7 +214,7 @@ def test_experts_who_look_on_see_what_robots_see(world: str, encoder: str, tmp_p
     )
     run = experiment.run(tmp_path / "a")
     env = SeededEpisodes(gym.make(world))
-    reward = ProgressReward(env, SMALL, encoder=encoder, bounds_from=100)
+    reward = ProgressReward(env, SMALL, seed=0, encoder=encoder, bounds_from=100)
     assert reward.action_space is env.action_space
     assert reward.observation_space is env.observation_space
     assert reward.agent.space == run.space

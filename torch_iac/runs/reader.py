@@ -39,7 +39,7 @@ learning progress, in a run whose config does not say."""
 
 
 IN_CONFIG: dict[str, Any] = {
-    "space": Mapping[str, Mapping[str, tuple[float, float]]],
+    "space": Mapping[str, Mapping[str, tuple[float, ...]]],
     "seeds": tuple[int, ...],
     "zones": tuple[str, ...] | None,
     "n_recorded": int,
