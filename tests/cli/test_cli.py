@@ -322,7 +322,7 @@ def test_figures_are_drawn_anew(tmp_path: Path) -> None:
         path.unlink()
     answer = typed("figures", folder, "--pdf")
     assert (answer.code, answer.err) == (0, "")
-    figures = ("experts", "zones", "calibration")
+    figures = ("experts", "tree", "zones", "calibration")
     names = [f"{figure}.{kind}" for figure in figures for kind in ("png", "pdf")]
     assert answer.out.splitlines() == [str(folder / "figures" / name) for name in names]
     assert all((folder / "figures" / name).stat().st_size for name in names)
@@ -482,7 +482,11 @@ BAD_VALUES = [
         "a stage must be about an action (left_wheel, right_wheel, sound), got smell",
     ),
     ("--world-options beams=-1", "beams must be at least 0 and finite, got -1"),
-    ("--world-options sensor_noise=NaN", "sensor_noise must be at least 0 and finite, got nan"),
+    (
+        "--world-options sensor_noise=NaN",
+        "world_options.sensor_noise must be a finite number, a text, true, false, null, a list or "
+        "a mapping by name, got nan",
+    ),
     (
         "--world kinematic --world-options device=cpu",
         "options of kinematic must be among render_mode, width, height, beams, toy_direction, "
@@ -591,7 +595,7 @@ def test_what_the_operating_system_refuses_is_said_without_its_numbers(
     monkeypatch.setattr(Path, "mkdir", refuse)
     answer = typed("train", "--steps", "5", "--out", tmp_path / "a")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == f"torch-iac: {tmp_path}/a/steps: Permission denied\n"
+    assert answer.err == f"torch-iac: {tmp_path}/a: Permission denied\n"
 
 
 def test_figures_need_a_run(tmp_path: Path) -> None:
