@@ -32,7 +32,7 @@ from torch_iac.space import Dimension, SensorimotorSpace
 from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY, train
 from torch_iac.worlds.bounds import Bounds, bounds_of, recorded_bounds
-from torch_iac.worlds.make import make_world
+from torch_iac.worlds.make import make_world, refusals_at_reset
 from torch_iac.worlds.vector import World
 
 SEEDS = 2**32
@@ -216,6 +216,15 @@ class Experiment:
         options = {**self.world_options, **options}
         return make_world(self.world, n_worlds, options, self.torch_device(), self.hold)
 
+    def reset(self, world: World, seeds: Sequence[int]) -> None:
+        """Reset worlds, one from each seed.
+
+        Raises:
+            ValueError: It fails, with options of the world that may be why.
+        """
+        with refusals_at_reset(self.world, self.world_options):
+            world.reset(seed=list(seeds))  # type: ignore[arg-type]  # a list is fine
+
     def world_identity(self) -> dict[str, Any]:
         """Return what makes the world what it is."""
         held = {"hold": self.hold} if self.hold > 1 else {}
@@ -233,7 +242,7 @@ class Experiment:
         here = replace(self, device="cpu") if elsewhere else self
         world, _ = here.bounded_world(n_worlds=1)
         try:
-            world.reset(seed=[here.seeds[0]])  # type: ignore[arg-type]  # a list is fine
+            here.reset(world, here.seeds[:1])
             here.space_of(world)
         finally:
             world.close()
@@ -345,7 +354,7 @@ class Experiment:
                 check_memory(space, self.config, n_agents, self.steps, device, recording)
                 self._say_what_was_found(bounds, earlier)
                 # A world that cannot begin leaves no run folder.
-                world.reset(seed=list(self.seeds))  # type: ignore[arg-type]  # a list is fine
+                self.reset(world, self.seeds)
                 agent = IAC(space, self.config, self.seeds, device)
                 folder = _new_folder(self.world) if folder is None else folder
                 recorder = Recorder(

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import TypeVar
 
 Value = TypeVar("Value", covariant=True)
+"""What a mapping holds."""
 
 
 class FrozenMapping(Mapping[str, Value]):
