@@ -118,7 +118,7 @@ class Experiment:
     twentieth of the time."""
     test_every: int = 0
     """How many decisions lie between two generalisation tests in f2, in the toy rooms; 0 for none.
-    Their errors go into generalisation/."""
+    Their errors go into the folder generalisation."""
 
     def __post_init__(self) -> None:
         self._settle()

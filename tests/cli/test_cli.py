@@ -446,7 +446,7 @@ BAD_VALUES = [
         "a stage must be about an action (left_wheel, right_wheel, sound), got smell",
     ),
     ("--world-options beams=-1", "beams must be at least 0 and finite, got -1"),
-    ("--world-options sensor_noise=NaN", "sensor_noise must be at least 0 and finite, got nan"),
+    ("--world-options sensor_noise=NaN", "world_options.sensor_noise must be finite, got nan"),
     (
         "--world kinematic --world-options device=cpu",
         "options of kinematic must be among render_mode, width, height, beams, toy_direction, "
@@ -555,7 +555,7 @@ def test_what_the_operating_system_refuses_is_said_without_its_numbers(
     monkeypatch.setattr(Path, "mkdir", refuse)
     answer = typed("train", "--steps", "5", "--out", tmp_path / "a")
     assert (answer.code, answer.out) == (2, "")
-    assert answer.err == f"torch-iac: {tmp_path}/a/steps: Permission denied\n"
+    assert answer.err == f"torch-iac: {tmp_path}/a: Permission denied\n"
 
 
 def test_figures_need_a_run(tmp_path: Path) -> None:

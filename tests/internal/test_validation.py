@@ -132,11 +132,16 @@ def test_what_is_jsonable_is_what_json_gives_back(value: Any) -> None:
 
 @pytest.mark.parametrize(
     ("value", "place"),
-    [({1: 2}, "x"), ({"a": [0, float("inf")]}, "x.a.1"), ([{"b": {3}}], "x.0.b"), (print, "x")],
+    [({1: 2}, "x"), ({"a": [0, 1j]}, "x.a.1"), ([{"b": {3}}], "x.0.b"), (print, "x")],
 )
 def test_what_json_cannot_hold_is_named(value: Any, place: str) -> None:
-    with pytest.raises(ValueError, match=f"^{place} must be a finite number, a text, .*, got "):
+    with pytest.raises(ValueError, match=f"^{place} must be a number, a text, .*, got "):
         jsonable("x", value)
+
+
+def test_json_holds_finite_numbers_only() -> None:
+    with pytest.raises(ValueError, match=r"^x.a.0 must be finite, got inf$"):
+        jsonable("x", {"a": [float("inf")]})
 
 
 @pytest.mark.parametrize("value", [1, MAX_COUNT, np.int64(7)])

@@ -104,7 +104,7 @@ class Train:
     twentieth of the time."""
     test_every: int = 0
     """How many decisions lie between two generalisation tests in f2, in the toy rooms; 0 for none.
-    Their errors go into generalisation/."""
+    Their errors go into the folder generalisation."""
     iac: IACConfig = field(default_factory=IACConfig)
     """The numbers of the algorithm, without shadows."""
 

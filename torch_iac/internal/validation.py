@@ -90,10 +90,12 @@ def jsonable(name: str, value: Any) -> Any:
         return [jsonable(f"{name}.{i}", part) for i, part in enumerate(value)]
     if value is None or isinstance(value, (bool, int, str)):
         return value
-    if isinstance(value, float) and math.isfinite(value):
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"{name} must be finite, got {value}")
         return value
     raise ValueError(
-        f"{name} must be a finite number, a text, true, false, null, a list or a mapping by name, "
+        f"{name} must be a number, a text, true, false, null, a list or a mapping by name, "
         f"got {value!r:.80}"
     )
 
