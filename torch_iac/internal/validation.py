@@ -55,13 +55,13 @@ def whole(name: str, value: Any) -> int:
 
 
 def real(name: str, value: Any) -> float:
-    """Return a number as Python's own float; infinity is one.
+    """Return a number as Python's own float; infinity and NaN are left to its range.
 
     Raises:
-        ValueError: It is none, as a text, True and NaN are none, or is larger than any float.
+        ValueError: It is none, as a text and True are none, or is larger than any float.
     """
     number = plain(value)
-    if type(number) not in (int, float) or number != number:
+    if type(number) not in (int, float):
         raise ValueError(f"{name} must be a number, got {value!r:.80}")
     try:
         return float(number)
