@@ -6,6 +6,8 @@ from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any, Self
 
+import gymnasium as gym
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -104,6 +106,14 @@ def test_the_file_is_checked_strictly(content: Any, sentence: str) -> None:
         ({"seeds": []}, "seeds must name at least one robot, got none"),
         ({"seeds": range(10**9)}, "seeds must be at most 1,000,000, got 1,000,000,000"),
         ({"outcomes": "toy_distance"}, "outcomes must be a list, got 'toy_distance'"),
+        ({"seeds": [0, 1.5]}, r"seeds.1 must be a whole number, got 1.5"),
+        ({"seeds": [True]}, r"seeds.0 must be a whole number, got True"),
+        ({"outcomes": [3]}, r"outcomes.0 must be a text, got 3"),
+        ({"world_options": {"f": print}}, r"world_options.f must be a number, a text"),
+        ({"world_options": {"f": float("nan")}}, r"world_options.f must be finite, got nan"),
+        ({"sensor_bounds": {"x": (0, "1")}}, r"sensor_bounds.x.1 must be a number, got '1'"),
+        ({"sensor_bounds": {"x": (0, float("inf"))}}, "the bounds of x must be finite"),
+        ({"config": {}}, r"config must be of the kind IACConfig, got \{\}"),
         ({"hold": 0}, r"hold must lie in \[1, 1,000\], got 0"),
         (
             {"config": iac.IACConfig(experts=iac.NetworkExperts(module=lambda n, m: Linear(n, m)))},
@@ -195,6 +205,36 @@ def test_of_nearest_neighbours_the_examples_are_given(tmp_path: Path) -> None:
     for wrong, sentence in (((9,), "region must be a leaf of agent 0"), ((0, 1), "agent must lie")):
         with pytest.raises(ValueError, match=sentence):
             agent.expert(*wrong)
+
+
+class Touchy(gym.Env[Any, Any]):
+    """A world that can be made with any size, and reset with few."""
+
+    action_space = observation_space = gym.spaces.Box(0.0, 1.0, (1,), np.float32)
+
+    def __init__(self, size: int = 0) -> None:
+        self._size = size
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed, options=options)
+        return np.full(1, 0.5 / self._size, np.float32), {}
+
+
+def test_an_option_on_which_a_world_breaks_when_it_is_reset_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(gym.envs.registration, "registry", {})
+    gym.register("Touchy-v0", entry_point=Touchy)  # type: ignore[arg-type]
+    for begin in (Experiment.check, Experiment.run):
+        with pytest.raises(ValueError, match=r"^Touchy-v0 cannot be reset with size=0: ZeroDiv"):
+            begin(Experiment(world="Touchy-v0", world_options={"size": 0}))
+        with pytest.raises(ZeroDivisionError):  # perhaps a bug of the world
+            begin(Experiment(world="Touchy-v0"))
+    Experiment(world="Touchy-v0", world_options={"size": 1}).check()
+    assert not list(tmp_path.iterdir())
 
 
 def test_runs_that_begin_in_the_same_second_have_folders_of_their_own(

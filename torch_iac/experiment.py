@@ -33,7 +33,7 @@ from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY, train
 from torch_iac.worlds.bounds import Bounds, bounds_of, recorded_bounds
 from torch_iac.worlds.encoders import CONVOLUTION, check_encoder
-from torch_iac.worlds.make import make_world
+from torch_iac.worlds.make import make_world, refusals_at_reset
 from torch_iac.worlds.spaces import LEFT_OUT
 from torch_iac.worlds.vector import World
 
@@ -223,6 +223,15 @@ class Experiment:
         device = self.torch_device()
         return make_world(self.world, n_worlds, options, device, self.hold, self.encoder)
 
+    def reset(self, world: World, seeds: Sequence[int]) -> None:
+        """Reset worlds, one from each seed.
+
+        Raises:
+            ValueError: It fails, with options of the world that may be why.
+        """
+        with refusals_at_reset(self.world, self.world_options):
+            world.reset(seed=list(seeds))  # type: ignore[arg-type]  # a list is fine
+
     def world_identity(self) -> dict[str, Any]:
         """Return what makes the world what it is."""
         content: dict[str, Any] = {"name": self.world, "options": dict(self.world_options)}
@@ -244,7 +253,7 @@ class Experiment:
         here = replace(self, device="cpu") if elsewhere else self
         world, _ = here.bounded_world(n_worlds=1)
         try:
-            world.reset(seed=[here.seeds[0]])  # type: ignore[arg-type]  # a list is fine
+            here.reset(world, here.seeds[:1])
             here.space_of(world)
         finally:
             world.close()
@@ -357,7 +366,7 @@ class Experiment:
                 if earlier is None:
                     self._say_what_was_found(world, bounds)
                 # A world that cannot begin leaves no run folder.
-                world.reset(seed=list(self.seeds))  # type: ignore[arg-type]  # a list is fine
+                self.reset(world, self.seeds)
                 agent = IAC(space, self.config, self.seeds, device)
                 folder = _new_folder(self.world) if folder is None else folder
                 recorder = Recorder(

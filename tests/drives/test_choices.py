@@ -97,7 +97,7 @@ def test_what_is_taken_is_a_candidate_and_never_one_worth_less_than_nothing_besi
         assert worth[int(picks[1])] > 0
 
 
-@pytest.mark.parametrize("temperature", [0.0, -1.0, math.inf])
+@pytest.mark.parametrize("temperature", [0.0, -1.0, math.inf, math.nan])
 def test_a_temperature_is_above_nothing_and_finite(temperature: float) -> None:
     with pytest.raises(
         ValueError, match=f"temperature must be above 0 and finite, got {temperature}"

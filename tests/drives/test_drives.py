@@ -158,7 +158,7 @@ def test_a_curriculum_is_about_actions(knowledge: Knowledge) -> None:
         IAC(knowledge.space, IACConfig(drive=later))  # not a thousand decisions later
 
 
-@pytest.mark.parametrize(("low", "high"), [(1, 0), (0, float("inf"))])
+@pytest.mark.parametrize(("low", "high"), [(1, 0), (float("nan"), 1), (0, float("inf"))])
 def test_a_stage_has_bounds(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="low and high must be finite and in order, got"):
         Stage("tone", low, high, until=0)

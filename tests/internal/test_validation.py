@@ -53,13 +53,23 @@ def test_numbers_of_libraries_are_taken_for_pythons_own(part: Any, name: str, ki
 
 
 @pytest.mark.parametrize(("part", "name", "kind"), NUMBERS, ids=number_ids)
-@pytest.mark.parametrize("value", [True, "1", None, np.bool_(True), [1, 2], float("nan"), 1j])
+@pytest.mark.parametrize("value", [True, "1", None, np.bool_(True), [1, 2], 1j])
 def test_what_is_no_such_number_is_refused_by_name(
     part: Any, name: str, kind: type, value: Any
 ) -> None:
     rule = "a whole number" if kind is int else "a number"
     with pytest.raises(ValueError, match=f"^{name} must be {rule}, got "):
         replace(part, **{name: value})
+
+
+@pytest.mark.parametrize(("part", "name", "kind"), NUMBERS, ids=number_ids)
+@pytest.mark.parametrize("of_library", [float, np.float32, torch.tensor])
+def test_nan_is_refused_wherever_a_number_is(
+    part: Any, name: str, kind: type, of_library: Callable[[float], Any]
+) -> None:
+    del kind
+    with pytest.raises(ValueError, match=rf"{name}.* must .*, got .*nan"):
+        replace(part, **{name: of_library(float("nan"))})
 
 
 @pytest.mark.parametrize(
@@ -132,11 +142,16 @@ def test_what_is_jsonable_is_what_json_gives_back(value: Any) -> None:
 
 @pytest.mark.parametrize(
     ("value", "place"),
-    [({1: 2}, "x"), ({"a": [0, float("inf")]}, "x.a.1"), ([{"b": {3}}], "x.0.b"), (print, "x")],
+    [({1: 2}, "x"), ({"a": [0, 1j]}, "x.a.1"), ([{"b": {3}}], "x.0.b"), (print, "x")],
 )
 def test_what_json_cannot_hold_is_named(value: Any, place: str) -> None:
-    with pytest.raises(ValueError, match=f"^{place} must be a finite number, a text, .*, got "):
+    with pytest.raises(ValueError, match=f"^{place} must be a number, a text, .*, got "):
         jsonable("x", value)
+
+
+def test_json_holds_finite_numbers_only() -> None:
+    with pytest.raises(ValueError, match=r"^x.a.0 must be finite, got inf$"):
+        jsonable("x", {"a": [float("inf")]})
 
 
 @pytest.mark.parametrize("value", [1, MAX_COUNT, np.int64(7)])

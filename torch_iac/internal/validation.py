@@ -55,13 +55,13 @@ def whole(name: str, value: Any) -> int:
 
 
 def real(name: str, value: Any) -> float:
-    """Return a number as Python's own float; infinity is one.
+    """Return a number as Python's own float; infinity and NaN are left to its range.
 
     Raises:
-        ValueError: It is none, as a text, True and NaN are none, or is larger than any float.
+        ValueError: It is none, as a text and True are none, or is larger than any float.
     """
     number = plain(value)
-    if type(number) not in (int, float) or number != number:
+    if type(number) not in (int, float):
         raise ValueError(f"{name} must be a number, got {value!r:.80}")
     try:
         return float(number)
@@ -90,10 +90,12 @@ def jsonable(name: str, value: Any) -> Any:
         return [jsonable(f"{name}.{i}", part) for i, part in enumerate(value)]
     if value is None or isinstance(value, (bool, int, str)):
         return value
-    if isinstance(value, float) and math.isfinite(value):
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"{name} must be finite, got {value}")
         return value
     raise ValueError(
-        f"{name} must be a finite number, a text, true, false, null, a list or a mapping by name, "
+        f"{name} must be a number, a text, true, false, null, a list or a mapping by name, "
         f"got {value!r:.80}"
     )
 

@@ -135,8 +135,7 @@ def _refusals(name: str, options: Mapping[str, Any]) -> Iterator[None]:
 
     Without options, other exceptions are passed on, since they may be bugs of the world.
     """
-    words = " ".join(f"{option}={value!s:.80}" for option, value in options.items())
-    given = f" with {words}" if words else ""
+    given = f" with {_words(options)}" if options else ""
     try:
         with catch_warnings(action="ignore"):  # worlds refuse what Gymnasium warns of
             yield
@@ -150,3 +149,26 @@ def _refusals(name: str, options: Mapping[str, Any]) -> Iterator[None]:
         if not options:
             raise
         raise ValueError(f"{name} cannot be made{given}: {error!r}") from error
+
+
+@contextmanager
+def refusals_at_reset(name: str, options: Mapping[str, Any]) -> Iterator[None]:
+    """Turn errors of a world that cannot be reset with its options into a `ValueError`.
+
+    Without options exceptions are passed on, since they may be bugs of the world.
+
+    Raises:
+        ValueError: It cannot.
+    """
+    try:
+        yield
+    except (ValueError, OSError, gym.error.Error):  # they say what is wrong
+        raise
+    except Exception as error:  # such as a division by an option that is 0
+        if not options:
+            raise
+        raise ValueError(f"{name} cannot be reset with {_words(options)}: {error!r}") from error
+
+
+def _words(options: Mapping[str, Any]) -> str:
+    return " ".join(f"{option}={value!s:.80}" for option, value in options.items())
