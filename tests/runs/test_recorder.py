@@ -246,15 +246,19 @@ def test_rows_are_on_disk_when_flush_returns_and_parts_have_the_agreed_size(tmp_
     recorder.close()
 
 
-@pytest.mark.parametrize("broken", ["regions.parquet", "part-00000.parquet"])
+@pytest.mark.parametrize(("place", "broken"), [(0, "regions.parquet"), (2, "part-00000.parquet")])
 def test_a_file_that_could_not_be_finished_has_no_name_and_loses_no_decision(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: int, broken: str
 ) -> None:
-    def break_half_way(table: pa.Table, path: Path, **options: Any) -> None:
-        if broken in path.name:
-            path.write_bytes(b"half a file")
+    """Of the files of a part, one after the other, one is broken half way."""
+    written: list[pa.Table] = []
+
+    def break_half_way(table: pa.Table, file: Any, **options: Any) -> None:
+        written.append(table)
+        if len(written) == place + 1:
+            file.write(b"half a file")
             raise OSError("disk full")
-        write_table(table, path, **options)
+        write_table(table, file, **options)
 
     write_table = pq.write_table
     population = SyntheticPopulation(1, 1)
@@ -264,7 +268,8 @@ def test_a_file_that_could_not_be_finished_has_no_name_and_loses_no_decision(
         patched.setattr(pq, "write_table", break_half_way)
         with pytest.raises(OSError, match="disk full"):
             recorder.flush()
-    assert not list(tmp_path.rglob(broken))
+    assert not list((tmp_path / "steps").rglob("part*"))
+    assert broken != "regions.parquet" or not (tmp_path / broken).exists()
     recorder.close()
     assert [path.name for path in parts(tmp_path)] == ["part-00000.parquet"]
     assert pq.read_table(parts(tmp_path)).num_rows == 1
