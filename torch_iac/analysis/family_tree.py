@@ -84,7 +84,8 @@ def draw_experts(run: Run, agent: int = 0, window: int | None = None) -> Figure:
     window = run.error_window if window is None else window
     curves = error_curves(run, agent, window)
     if run.inherits_history and run.n_decisions > window:
-        curves = [whole for curve in curves if len((whole := curve.of_at_least(window)).decisions)]
+        whole = [curve.of_at_least(window) for curve in curves]
+        curves = [curve for curve in whole if len(curve.decisions)] or curves
     styles, key = region_styles(run, agent)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=SIZE, layout="constrained")
