@@ -31,7 +31,6 @@ from torch_iac import (
     SensorimotorSpace,
     Softmax,
 )
-from torch_iac.experts.stacked_networks import StackedNetworks
 
 KINEMATIC = "torch_iac_envs/ToyRoomKinematic-v0"
 
@@ -67,7 +66,6 @@ def test_a_decision_without_a_split_asks_a_gpu_once(
 ) -> None:
     # Before the first decision one may ask.
     monkeypatch.setattr(torch_iac.agent, "available_device", torch.device)
-    monkeypatch.setattr(StackedNetworks, "_check", lambda *_: None)
     env, agent = born(values, "meta")
     agent.tree._n_bundle_levels = 3  # as if regions had split
     sensors, _ = env.reset(seed=0)
