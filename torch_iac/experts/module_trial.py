@@ -1,6 +1,6 @@
 """Tries a module before it is the network of regions: whether it can be, and how it is called."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -34,8 +34,9 @@ def try_module(module: RowModule, batch_size: int) -> None:
     Raises:
         ValueError: It cannot predict or learn; the message says why, and in which layer.
     """
-    rows = [module.made(0), module.made(0)]
-    for states in zip(*([*row.parameters(), *row.buffers()] for row in rows), strict=True):
+    rows = [module.made(0), module.made(1)]
+    alike = (module.template, rows[0])
+    for states in zip(*([*row.parameters(), *row.buffers()] for row in alike), strict=True):
         if not torch.equal(*states):
             raise ValueError(
                 "a module's factory must make the same weights from the same seed, "
@@ -45,7 +46,7 @@ def try_module(module: RowModule, batch_size: int) -> None:
         with _naming_layer(module, is_learning=False), torch.no_grad(), DrawnFrom(None):
             outputs = module.template(torch.zeros(n, module.n_inputs, device=module.device))
         _check_shape(module, outputs, n)
-    trial = _Trial(module, batch_size)
+    trial = _Trial(module, rows, batch_size)
     for is_learning in (False, True):
         module.is_batched[is_learning] = False
         with _keeping_attributes(module, is_learning), _naming_layer(module, is_learning):
@@ -61,11 +62,11 @@ class _Trial:
 
     Args:
         module: Whose rows they are.
+        rows: The rows.
         batch_size: How many situations each row gets.
     """
 
-    def __init__(self, module: RowModule, batch_size: int) -> None:
-        rows = [module.made(0), module.made(1)]
+    def __init__(self, module: RowModule, rows: Sequence[nn.Module], batch_size: int) -> None:
         self._module = module
         self._weights = stacked([weights_of(row) for row in rows])
         self._buffers = stacked([buffers_of(row) for row in rows])

@@ -6,13 +6,12 @@ Shapes: `A` rows, `P` weights of one of them, `B` situations each.
 import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
 from torch_iac.experts.mlp import MLP
-from torch_iac.internal.generators import DrawnFrom
+from torch_iac.internal.generators import DrawnFrom, generator_of
 
 Factory = Callable[[int, int], nn.Module]
 """Makes a network from its numbers of inputs and outputs."""
@@ -69,9 +68,7 @@ class RowModule:
         Raises:
             ValueError: The factory fails, or makes no module with weights that learn.
         """
-        # torch on the CPU uses only 32 bits of a seed, so all 64 are mixed into these.
-        mixed = np.random.SeedSequence(seed % 2**128).generate_state(1).item()
-        generator = torch.Generator().manual_seed(mixed)
+        generator = generator_of(seed % 2**128)
         if type(self._factory) is MLP:  # in a third of the time
             return self._factory(self.n_inputs, self.n_outputs, generator).to(self.device)
         try:

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from torch_iac.experts.mlp import MLP
 from torch_iac.experts.modules import Drawn, Factory
 from torch_iac.experts.stacked_networks import StackedNetworks, Training, pick
+from torch_iac.internal.generators import generator_of
 from torch_iac.internal.losses import squared_error
 from torch_iac.internal.randomness import RandomStream
 from torch_iac.internal.state import Stateful
@@ -172,9 +172,8 @@ class NetworkPool(Stateful):
         """Return what random layers draw from: of each seed its own at each step."""
         if not self.networks.is_random:
             return ()
-        keys = [(seed % 2**128, LAYER_STREAM, step) for seed in seeds]
-        mixed = [np.random.SeedSequence(key).generate_state(1).item() for key in keys]
-        return [torch.Generator(self._device).manual_seed(number) for number in mixed]
+        keys = ((seed % 2**128, LAYER_STREAM, step) for seed in seeds)
+        return [generator_of(key, self._device) for key in keys]
 
     def _train(self, examples: Examples, rows: Tensor, numbers: Tensor, drawn: Drawn) -> Tensor:
         """Train on the examples that numbers `(F, M * B)` in [0, 1) select."""

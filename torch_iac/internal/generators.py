@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -14,6 +15,13 @@ _COMPOSED = tuple(
     getattr(torch.ops.aten, name).default
     for name in ("dropout", "feature_dropout", "alpha_dropout", "feature_alpha_dropout")
 )
+
+
+def generator_of(key: int | Sequence[int], device: torch.device | str = "cpu") -> torch.Generator:
+    """Return a generator of its own for each key, whole numbers that are not negative."""
+    # torch on the CPU uses only 32 bits of a seed, so all bits of the key are mixed into these.
+    mixed = np.random.SeedSequence(key).generate_state(1).item()
+    return torch.Generator(device).manual_seed(mixed)
 
 
 class DrawnFrom(TorchDispatchMode):  # type: ignore[no-untyped-call]

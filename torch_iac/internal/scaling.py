@@ -72,11 +72,13 @@ class Scale:
         """
         if self.contains(raw):
             return
-        row, column = self.outside(raw).nonzero()[0].tolist()
-        of, value = self.dimensions[column], raw[row, column].item()
-        raise ValueError(
-            f"{of.name} must lie in [{of.low:g}, {of.high:g}], got {value:g} from {whose} {row}"
-        )
+        of, got = self._first(self.outside(raw), raw, whose)
+        raise ValueError(f"{of.name} must lie in [{of.low:g}, {of.high:g}], {got}")
+
+    def _first(self, wrong: Tensor, raw: Tensor, whose: str) -> tuple[Dimension, str]:
+        """Return the dimension of the first wrong value `(n_rows, n)`, and what was got."""
+        row, column = wrong.nonzero()[0].tolist()
+        return self.dimensions[column], f"got {raw[row, column].item():g} from {whose} {row}"
 
 
 class CountedScale(Scale):
@@ -124,11 +126,10 @@ class CountedScale(Scale):
         off = (raw - self.to_raw(self.to_unit(raw))).abs_() > OUTSIDE_TOLERANCE * self._gap
         off &= self._is_counted
         if off.any():
-            row, column = off.nonzero()[0].tolist()
-            of, value = self.dimensions[column], raw[row, column].item()
+            of, got = self._first(off, raw, whose)
             raise ValueError(
                 f"{of.name} must be one of {of.n_values} values from {of.low:g} to {of.high:g}, "
-                f"got {value:g} from {whose} {row}"
+                f"{got}"
             )
 
     def _unit_at(self, places: Tensor) -> Tensor:
