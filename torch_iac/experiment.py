@@ -31,7 +31,7 @@ from torch_iac.runs.schema import CHECKPOINTS, CONFIG, SUMMARY
 from torch_iac.space import Dimension, SensorimotorSpace
 from torch_iac.toy_room import OTHER_WORLD_BYTES, OUTCOMES, WORLD_BYTES, WORLDS
 from torch_iac.training import CHECKPOINT_EVERY, train
-from torch_iac.worlds.bounds import Bounds, bounds_of, recorded_bounds
+from torch_iac.worlds.bounds import BOUNDS_FROM, Bounds, bounds_of, recorded_bounds
 from torch_iac.worlds.encoders import CONVOLUTION, check_encoder
 from torch_iac.worlds.make import make_world, refusals_at_reset
 from torch_iac.worlds.spaces import LEFT_OUT
@@ -108,7 +108,7 @@ class Experiment:
     then a sensor; or module:Name, a torch.nn.Module of your own."""
     sensor_bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Low and high bounds of sensors, in raw units; readings beyond are clipped."""
-    bounds_from: int = 1000
+    bounds_from: int = BOUNDS_FROM
     """How many random decisions find bounds for sensors without any: the range of their readings,
     and a tenth of it more on either side."""
     log_every: int = 100

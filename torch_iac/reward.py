@@ -25,8 +25,9 @@ from torch_iac.internal.intake import own_tensor
 from torch_iac.internal.state import State
 from torch_iac.records import Step
 from torch_iac.space import SensorimotorSpace
+from torch_iac.worlds.bounds import BOUNDS_FROM
 from torch_iac.worlds.encoders import CONVOLUTION
-from torch_iac.worlds.senses import BOUNDS_FROM, Senses
+from torch_iac.worlds.senses import Senses
 from torch_iac.worlds.vector import outcome_of, refuse_overwriting
 
 Array: TypeAlias = NDArray[Any]

@@ -17,7 +17,7 @@ from torch_iac.internal.validation import check_count
 from torch_iac.kinds import KINDS, named
 from torch_iac.meta_predictor import ImprovementPredictor, MetaPredictor
 from torch_iac.training import CHECKPOINT_EVERY
-from torch_iac.worlds.bounds import parse_bounds
+from torch_iac.worlds.bounds import BOUNDS_FROM, parse_bounds
 from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.options import parse_options
 
@@ -93,7 +93,7 @@ class Train:
     then a sensor; or module:Name, a torch.nn.Module of your own."""
     sensor_bounds: tuple[str, ...] = ()
     """Bounds of sensors, such as sensor_4=-10,10; readings beyond are clipped."""
-    bounds_from: int = 1000
+    bounds_from: int = BOUNDS_FROM
     """How many random decisions find bounds for sensors without any: the range of their readings,
     and a tenth of it more on either side."""
     log_every: int = 100

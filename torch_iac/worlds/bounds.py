@@ -20,6 +20,9 @@ MARGIN = 0.1
 STILL = 1e-6
 """A sensor whose range is a smaller share of its size, or of 1, counts as constant."""
 
+BOUNDS_FROM = 1000
+"""How many random decisions find bounds of sensors that have none."""
+
 SEED = 0
 """Seed of the random decisions by which bounds are found, whatever the robots' seeds."""
 

@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torch_iac.space import names_of, space_of
-from torch_iac.worlds.bounds import bounds_of
+from torch_iac.worlds.bounds import BOUNDS_FROM, bounds_of
 from torch_iac.worlds.encoders import CONVOLUTION
 from torch_iac.worlds.spaces import Flat, Row, encoder_maker, flattened, is_flat
 from torch_iac.worlds.vector import World
 
 Rows: TypeAlias = NDArray[Any] | Tensor
 """A row of numbers for each world, in raw units."""
-
-BOUNDS_FROM = 1000
-"""How many random decisions find bounds of sensors that have none."""
 
 
 class Senses:
